@@ -1,0 +1,32 @@
+//! Turns textured photogrammetry meshes into 3D Tiles 1.1 whose geometric error is measured per class.
+//!
+//! The pipeline, one noun per arrow (see [`pipeline`]):
+//!
+//! ```text
+//! input ─► mesh ─► planes ─► classes ─► collapse ─► tiles ─► texture ─► write
+//! Source   Mesh    Planes    Classes    CollapseLog TileTree Baked      GLB, tileset.json
+//! ```
+//!
+//! `input` is the only module that sees untrusted bytes and `mesh` the only gate behind it: past the gate the
+//! stages cannot fail. `serve` and `inspect` read published files only and know nothing of the builder.
+
+pub mod classes;
+pub mod cli;
+pub mod collapse;
+pub mod demo;
+pub mod error;
+pub mod geo;
+pub mod ids;
+pub mod input;
+pub mod inspect;
+pub mod mesh;
+pub mod pipeline;
+pub mod planes;
+pub mod report;
+pub mod schema;
+pub mod serve;
+pub mod texture;
+pub mod tiles;
+pub mod write;
+
+pub use error::{Error, Result};

@@ -1,1 +1,3 @@
-//! (to come)
+//! Bounds, frames and spatial search; knows nothing of files.
+
+pub mod bvh;

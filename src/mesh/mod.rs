@@ -4,6 +4,10 @@ use glam::{DVec3, Vec2};
 
 use crate::input::Material;
 
+pub mod weld;
+
+pub use weld::{GateConfig, GateReport, gate};
+
 /// A welded triangle mesh in the local frame (metres, x east, y north, z up). Valid by construction: see [`Mesh::check`].
 #[derive(Debug, Clone, Default)]
 pub struct Mesh {
@@ -33,5 +37,44 @@ impl Mesh {
     pub fn cross(&self, f: usize) -> DVec3 {
         let [a, b, c] = self.corners(f);
         (b - a).cross(c - a)
+    }
+
+    /// Keeps the faces marked true, with all that belongs to them, in order.
+    pub fn retain_faces(&mut self, keep: &[bool]) {
+        fn retain<T>(items: &mut Vec<T>, keep: &[bool]) {
+            let mut f = 0;
+            items.retain(|_| {
+                f += 1;
+                keep[f - 1]
+            });
+        }
+        retain(&mut self.faces, keep);
+        retain(&mut self.face_material, keep);
+        retain(&mut self.corner_uvs, keep);
+        retain(&mut self.face_labels, keep);
+    }
+
+    /// Says what is wrong with a mesh that breaks the gate's promises; for tests and debug assertions.
+    ///
+    /// # Errors
+    /// The first broken promise, in words.
+    pub fn check(&self) -> Result<(), String> {
+        let per_face = [("corner_uvs", self.corner_uvs.len()), ("face_labels", self.face_labels.len())];
+        if let Some((name, len)) = per_face.iter().find(|(_, len)| *len != 0 && *len != self.faces.len()) {
+            return Err(format!("{name} has {len} entries for {} faces", self.faces.len()));
+        }
+        if self.face_material.len() != self.faces.len() {
+            return Err("every face needs a material index".into());
+        }
+        if let Some(p) = self.positions.iter().find(|p| !p.is_finite()) {
+            return Err(format!("position {p} is not finite"));
+        }
+        let count = self.positions.len() as u32;
+        for (f, &[a, b, c]) in self.faces.iter().enumerate() {
+            if a.max(b).max(c) >= count || a == b || b == c || c == a {
+                return Err(format!("face {f} has corners {a} {b} {c} of {count} vertices"));
+            }
+        }
+        Ok(())
     }
 }

@@ -1,0 +1,354 @@
+//! A bounding-volume hierarchy over triangles for closest-point and box queries.
+//!
+//! In: positions and faces. Out: [`Bvh`], immutable.
+//!
+//! # Method
+//! 1. Binned surface-area heuristic over face centroids (Wald 2007), 16 bins; subtrees above 32k faces in parallel.
+//! 2. Nodes in preorder with f32 boxes about the mesh's centre, rounded outwards; triangles in f64, in leaf order.
+//! 3. Closest point: depth first, nearer child first, pruned by the best distance so far.
+//!
+//! # Promises
+//! The tree and every answer are the same for any number of threads. Distances are exact in f64: boxes only prune
+//! (`closest_point_equals_brute_force`).
+//!
+//! # Cost
+//! About 0.5 s a million faces to build on one core, 120 bytes a face.
+
+use glam::{DVec3, Vec3};
+
+const LEAF_FACES: usize = 4;
+const BINS: usize = 16;
+const PARALLEL_FACES: usize = 1 << 15;
+
+/// See the module.
+pub struct Bvh {
+    center: DVec3,
+    nodes: Vec<Node>,
+    triangles: Vec<[DVec3; 3]>,
+    faces: Vec<u32>,
+}
+
+/// The nearest point found.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Hit {
+    /// Index into the faces the tree was built from.
+    pub face: u32,
+    /// The point on that face.
+    pub point: DVec3,
+    /// Its distance from the query, metres.
+    pub distance: f64,
+}
+
+#[derive(Clone, Copy)]
+struct Node {
+    min: Vec3,
+    /// Inner: index of the right child (the left one follows the node). Leaf: first triangle.
+    at: u32,
+    max: Vec3,
+    /// 0 for an inner node.
+    count: u32,
+}
+
+impl Bvh {
+    /// Builds over `faces`; indices must be valid and positions finite.
+    pub fn new(positions: &[DVec3], faces: &[[u32; 3]]) -> Self {
+        let corners = |f: u32| faces[f as usize].map(|v| positions[v as usize]);
+        let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for p in positions {
+            (low, high) = (low.min(*p), high.max(*p));
+        }
+        let center = if faces.is_empty() { DVec3::ZERO } else { (low + high) * 0.5 };
+        let boxes: Vec<(Vec3, Vec3)> = (0..faces.len() as u32)
+            .map(|f| {
+                let [a, b, c] = corners(f).map(|p| p - center);
+                (round_down(a.min(b).min(c)), round_up(a.max(b).max(c)))
+            })
+            .collect();
+        let mut order: Vec<u32> = (0..faces.len() as u32).collect();
+        let nodes = if order.is_empty() { Vec::new() } else { build(&boxes, &mut order, 0) };
+        let triangles = order.iter().map(|&f| corners(f)).collect();
+        Self { center, nodes, triangles, faces: order }
+    }
+
+    /// The closest point within `max` metres of `p`; on a tie the first in the tree's order.
+    pub fn closest(&self, p: DVec3, max: f64) -> Option<Hit> {
+        if self.nodes.is_empty() {
+            return None;
+        }
+        let q = (p - self.center).as_vec3();
+        let mut best = Hit { face: u32::MAX, point: p, distance: 0.0 };
+        let mut best_squared = max * max;
+        let mut stack = [(0u32, 0f32); 128];
+        let mut top = 1;
+        stack[0] = (0, self.nodes[0].distance_squared(q));
+        while top > 0 {
+            top -= 1;
+            let (at, bound) = stack[top];
+            if f64::from(bound) > best_squared {
+                continue;
+            }
+            let node = &self.nodes[at as usize];
+            if node.count > 0 {
+                for i in node.at..node.at + node.count {
+                    let point = closest_on_triangle(p, &self.triangles[i as usize]);
+                    let d = (point - p).length_squared();
+                    if d < best_squared || (best.face == u32::MAX && d <= best_squared) {
+                        best_squared = d;
+                        best = Hit { face: self.faces[i as usize], point, distance: 0.0 };
+                    }
+                }
+                continue;
+            }
+            let (left, right) = (at + 1, node.at);
+            let dl = self.nodes[left as usize].distance_squared(q);
+            let dr = self.nodes[right as usize].distance_squared(q);
+            let (near, far) = if dl <= dr { ((left, dl), (right, dr)) } else { ((right, dr), (left, dl)) };
+            stack[top] = far;
+            stack[top + 1] = near;
+            top += 2;
+        }
+        (best.face != u32::MAX).then(|| Hit { distance: best_squared.sqrt(), ..best })
+    }
+
+    /// Calls `visit` for every face whose box touches the box `min..max`, in the tree's order.
+    pub fn overlapping(&self, min: DVec3, max: DVec3, visit: &mut dyn FnMut(u32)) {
+        if self.nodes.is_empty() {
+            return;
+        }
+        let (min, max) = (round_down(min - self.center), round_up(max - self.center));
+        let mut stack = vec![0u32];
+        while let Some(at) = stack.pop() {
+            let node = &self.nodes[at as usize];
+            if node.max.cmplt(min).any() || node.min.cmpgt(max).any() {
+                continue;
+            }
+            if node.count > 0 {
+                for i in node.at..node.at + node.count {
+                    let [a, b, c] = self.triangles[i as usize].map(|p| (p - self.center).as_vec3());
+                    if !(a.max(b).max(c).cmplt(min).any() || a.min(b).min(c).cmpgt(max).any()) {
+                        visit(self.faces[i as usize]);
+                    }
+                }
+            } else {
+                stack.push(node.at);
+                stack.push(at + 1);
+            }
+        }
+    }
+}
+
+impl Node {
+    /// A lower bound of the squared distance from `q` to anything in the box.
+    fn distance_squared(&self, q: Vec3) -> f32 {
+        let d = (self.min - q).max(q - self.max).max(Vec3::ZERO);
+        // f32 rounding of q and of the sum must never lift the bound above the truth.
+        let slack = 1e-6 * (q.abs().max_element() + d.max_element());
+        let d = (d - slack).max(Vec3::ZERO);
+        d.length_squared()
+    }
+}
+
+fn round_down(v: DVec3) -> Vec3 {
+    let f = v.as_vec3();
+    Vec3::new(down(f.x, v.x), down(f.y, v.y), down(f.z, v.z))
+}
+
+fn round_up(v: DVec3) -> Vec3 {
+    -round_down(-v)
+}
+
+fn down(f: f32, exact: f64) -> f32 {
+    if f64::from(f) > exact { f.next_down() } else { f }
+}
+
+/// Nodes of `order[..]` in preorder; `first` is where `order` starts among all triangles.
+fn build(boxes: &[(Vec3, Vec3)], order: &mut [u32], first: u32) -> Vec<Node> {
+    let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    let (mut cmin, mut cmax) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for &f in order.iter() {
+        let (lo, hi) = boxes[f as usize];
+        (min, max) = (min.min(lo), max.max(hi));
+        let c = lo + hi;
+        (cmin, cmax) = (cmin.min(c), cmax.max(c));
+    }
+    let count = order.len();
+    if count <= LEAF_FACES {
+        return vec![Node { min, at: first, max, count: count as u32 }];
+    }
+    let middle = split(boxes, order, cmin, cmax);
+    let (left, right) = order.split_at_mut(middle);
+    let second = first + middle as u32;
+    let (left, right) = if count > PARALLEL_FACES {
+        rayon::join(|| build(boxes, left, first), || build(boxes, right, second))
+    } else {
+        (build(boxes, left, first), build(boxes, right, second))
+    };
+    let mut nodes = Vec::with_capacity(1 + left.len() + right.len());
+    let right_at = 1 + left.len() as u32;
+    nodes.push(Node { min, at: right_at, max, count: 0 });
+    for (offset, part) in [(1, left), (right_at, right)] {
+        nodes.extend(part.into_iter().map(|n| if n.count == 0 { Node { at: n.at + offset, ..n } } else { n }));
+    }
+    nodes
+}
+
+/// Reorders `order` about the best of the binned splits and returns where the right half begins.
+fn split(boxes: &[(Vec3, Vec3)], order: &mut [u32], cmin: Vec3, cmax: Vec3) -> usize {
+    let extent = cmax - cmin;
+    let axis = if extent.x >= extent.y && extent.x >= extent.z { 0 } else { usize::from(extent.y < extent.z) + 1 };
+    let half = order.len() / 2;
+    if extent[axis] <= 0.0 {
+        return half;
+    }
+    let scale = BINS as f32 / extent[axis];
+    let bin_of = |f: u32| {
+        let (lo, hi) = boxes[f as usize];
+        (((lo[axis] + hi[axis] - cmin[axis]) * scale) as usize).min(BINS - 1)
+    };
+    let mut bins = [(0usize, Vec3::INFINITY, Vec3::NEG_INFINITY); BINS];
+    for &f in order.iter() {
+        let (lo, hi) = boxes[f as usize];
+        let bin = &mut bins[bin_of(f)];
+        *bin = (bin.0 + 1, bin.1.min(lo), bin.2.max(hi));
+    }
+    let grow = |b: &mut (usize, Vec3, Vec3), c: &(usize, Vec3, Vec3)| {
+        *b = (b.0 + c.0, b.1.min(c.1), b.2.max(c.2));
+        if b.0 == 0 { 0.0 } else { b.0 as f32 * half_area(b.2 - b.1) }
+    };
+    let mut right_cost = [0f32; BINS];
+    let mut right = (0, Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for i in (1..BINS).rev() {
+        right_cost[i] = grow(&mut right, &bins[i]);
+    }
+    let (mut best, mut best_cost) = (0, f32::INFINITY);
+    let mut left = (0, Vec3::INFINITY, Vec3::NEG_INFINITY);
+    for i in 1..BINS {
+        let cost = grow(&mut left, &bins[i - 1]) + right_cost[i];
+        if left.0 > 0 && left.0 < order.len() && cost < best_cost {
+            (best, best_cost) = (i, cost);
+        }
+    }
+    if best == 0 {
+        return half;
+    }
+    // A stable partition keeps the order, and with it the tree, independent of the machine.
+    let (l, r): (Vec<u32>, Vec<u32>) = order.iter().partition(|&&f| bin_of(f) < best);
+    order[..l.len()].copy_from_slice(&l);
+    order[l.len()..].copy_from_slice(&r);
+    l.len()
+}
+
+fn half_area(d: Vec3) -> f32 {
+    d.x * d.y + d.y * d.z + d.z * d.x
+}
+
+/// The point of triangle `abc` closest to `p` (Ericson, Real-Time Collision Detection, 2005, §5.1.5).
+///
+/// Degenerate triangles are handled as their edges.
+pub fn closest_on_triangle(p: DVec3, &[a, b, c]: &[DVec3; 3]) -> DVec3 {
+    let (ab, ac, ap) = (b - a, c - a, p - a);
+    let (d1, d2) = (ab.dot(ap), ac.dot(ap));
+    if d1 <= 0.0 && d2 <= 0.0 {
+        return a;
+    }
+    let bp = p - b;
+    let (d3, d4) = (ab.dot(bp), ac.dot(bp));
+    if d3 >= 0.0 && d4 <= d3 {
+        return b;
+    }
+    let vc = d1 * d4 - d3 * d2;
+    if vc <= 0.0 && d1 >= 0.0 && d3 <= 0.0 {
+        return a + ab * ratio(d1, d1 - d3);
+    }
+    let cp = p - c;
+    let (d5, d6) = (ab.dot(cp), ac.dot(cp));
+    if d6 >= 0.0 && d5 <= d6 {
+        return c;
+    }
+    let vb = d5 * d2 - d1 * d6;
+    if vb <= 0.0 && d2 >= 0.0 && d6 <= 0.0 {
+        return a + ac * ratio(d2, d2 - d6);
+    }
+    let va = d3 * d6 - d5 * d4;
+    if va <= 0.0 && d4 - d3 >= 0.0 && d5 - d6 >= 0.0 {
+        return b + (c - b) * ratio(d4 - d3, (d4 - d3) + (d5 - d6));
+    }
+    let sum = va + vb + vc;
+    if sum <= 0.0 {
+        // A sliver whose area underflows: its longest edge stands for it.
+        return a + ab * ratio(d1.max(0.0), d1.max(0.0) + (-d3).max(0.0));
+    }
+    a + ab * (vb / sum) + ac * (vc / sum)
+}
+
+fn ratio(part: f64, whole: f64) -> f64 {
+    if whole > 0.0 { (part / whole).clamp(0.0, 1.0) } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn noise(i: u64) -> f64 {
+        let mut z = i.wrapping_add(0x9E37_79B9_7F4A_7C15).wrapping_mul(0xBF58_476D_1CE4_E5B9);
+        z = (z ^ (z >> 27)).wrapping_mul(0x94D0_49BB_1331_11EB);
+        ((z ^ (z >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    fn soup(count: u64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
+        let at = |i: u64| DVec3::new(noise(3 * i), noise(3 * i + 1), noise(3 * i + 2));
+        let mut positions = Vec::new();
+        for i in 0..count {
+            let p = at(i) * 100.0 + DVec3::splat(5e5);
+            positions.extend([p, p + at(i + 7777) * 3.0, p + at(i + 9999) * 3.0]);
+        }
+        let faces = (0..count as u32).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        (positions, faces)
+    }
+
+    #[test]
+    fn closest_point_equals_brute_force() {
+        let (positions, faces) = soup(2000);
+        let bvh = Bvh::new(&positions, &faces);
+        for i in 0..500 {
+            let q = DVec3::new(noise(i * 5), noise(i * 5 + 1), noise(i * 5 + 2)) * 110.0 + DVec3::splat(5e5 - 5.0);
+            let brute = faces
+                .iter()
+                .map(|f| (closest_on_triangle(q, &f.map(|v| positions[v as usize])) - q).length())
+                .fold(f64::INFINITY, f64::min);
+            let hit = bvh.closest(q, f64::INFINITY).unwrap();
+            assert!((hit.distance - brute).abs() < 1e-12, "{} {brute}", hit.distance);
+        }
+    }
+
+    #[test]
+    fn nothing_is_found_beyond_the_limit() {
+        let (positions, faces) = soup(10);
+        let bvh = Bvh::new(&positions, &faces);
+        assert!(bvh.closest(DVec3::splat(5e5 - 1000.0), 10.0).is_none());
+        assert!(Bvh::new(&[], &[]).closest(DVec3::ZERO, 1.0).is_none());
+    }
+
+    #[test]
+    fn a_box_query_finds_every_overlapping_face() {
+        let (positions, faces) = soup(2000);
+        let bvh = Bvh::new(&positions, &faces);
+        let (min, max) = (DVec3::splat(5e5 + 20.0), DVec3::splat(5e5 + 60.0));
+        let mut found = Vec::new();
+        bvh.overlapping(min, max, &mut |f| found.push(f));
+        found.sort_unstable();
+        let inside = |f: &[u32; 3]| {
+            let [a, b, c] = f.map(|v| positions[v as usize]);
+            a.min(b).min(c).cmple(max).all() && a.max(b).max(c).cmpge(min).all()
+        };
+        let wanted: Vec<u32> = (0..faces.len() as u32).filter(|&f| inside(&faces[f as usize])).collect();
+        assert!(!wanted.is_empty() && wanted.iter().all(|f| found.binary_search(f).is_ok()));
+    }
+
+    #[test]
+    fn degenerate_triangles_answer_as_their_edges() {
+        let t = [DVec3::ZERO, DVec3::X, DVec3::X * 2.0];
+        assert!((closest_on_triangle(DVec3::new(1.5, 1.0, 0.0), &t) - DVec3::new(1.5, 0.0, 0.0)).length() < 1e-12);
+        assert_eq!(closest_on_triangle(DVec3::Y, &[DVec3::ZERO; 3]), DVec3::ZERO);
+    }
+}

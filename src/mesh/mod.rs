@@ -8,6 +8,15 @@ pub mod weld;
 
 pub use weld::{GateConfig, GateReport, gate};
 
+/// Positions sit on a grid of 2⁻²⁰ m (about 1 µm), cell walls included. Differences of grid points are exact in f64
+/// out to 8 000 km, so a vertex on a wall stays on it through every change of origin.
+pub const GRID_PER_M: f64 = (1u64 << 20) as f64;
+
+/// The nearest grid point.
+pub fn on_grid(p: DVec3) -> DVec3 {
+    (p * GRID_PER_M).round() / GRID_PER_M
+}
+
 /// A welded triangle mesh in the local frame (metres, x east, y north, z up). Valid by construction: see [`Mesh::check`].
 #[derive(Debug, Clone, Default)]
 pub struct Mesh {

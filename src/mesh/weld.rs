@@ -16,7 +16,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::Mesh;
+use super::{Mesh, on_grid};
 use crate::input::Source;
 use crate::report::Reporter;
 use crate::{Error, Result};
@@ -86,7 +86,7 @@ pub fn gate(source: Source, config: &GateConfig, reporter: &Reporter) -> Result<
     for part in source.parts {
         let base = mesh.positions.len() as u32;
         let count = part.faces.len();
-        mesh.positions.extend(&part.positions);
+        mesh.positions.extend(part.positions.iter().map(|p| on_grid(*p)));
         mesh.faces.extend(part.faces.iter().map(|f| f.map(|v| v + base)));
         mesh.face_material.extend(part.face_material);
         extend_or(&mut mesh.corner_uvs, part.corner_uvs, textured.then_some(count), Default::default());

@@ -1,0 +1,471 @@
+//! One block of the mesh, collapsed to the limit of one scale by one thread.
+//!
+//! A block is a compact copy of some faces. Vertices that faces outside it use are locked, so blocks never see each
+//! other and their order of execution cannot matter.
+
+use glam::DVec3;
+
+use super::energy::Quadric;
+use super::queue::{Candidate, Queue};
+use super::{Collapse, NONE, PlanBox};
+use crate::geo::bvh::closest_on_triangle;
+use crate::mesh::on_grid;
+
+/// A vertex that must not move: faces outside the block use it, or two walls cross in it.
+pub const LOCKED: u8 = 1;
+/// A vertex on a wall x = constant: its x must not change.
+pub const FIX_X: u8 = 2;
+/// A vertex on a wall y = constant.
+pub const FIX_Y: u8 = 4;
+/// A vertex on an open border of the surface.
+pub const BORDER: u8 = 8;
+
+/// A face may turn by at most this much in one collapse (cosine): beyond it, it flips or becomes a sliver.
+const LEAST_TURN_COS: f64 = 0.2;
+/// An edge is filed again, not collapsed, when its energy grew by more than this since it was ranked.
+const STALE_FACTOR: f32 = 1.1;
+/// A solution further from the edge's middle than this many edge lengths is not trusted.
+const FARTHEST_LENGTHS: f64 = 2.0;
+/// Weight of open borders against the surface beside them, both as squared length.
+const BORDER_WEIGHT: f64 = 1.0;
+
+/// What a block is made of. All indices are local to the block; positions are relative to `origin`.
+pub struct Block<'a> {
+    /// Local positions are relative to this point.
+    pub origin: DVec3,
+    /// Per vertex: global id, ascending.
+    pub vertex_ids: Vec<u32>,
+    /// Per vertex.
+    pub positions: Vec<DVec3>,
+    /// Per vertex: `LOCKED`, `FIX_X`, `FIX_Y`, `BORDER`.
+    pub flags: Vec<u8>,
+    /// Per face: corners.
+    pub faces: Vec<[u32; 3]>,
+    /// Per face: Σ P(c|f)/b_c², 1/m².
+    pub omega: Vec<f32>,
+    /// Per face: index into `boxes`.
+    pub group: Vec<u32>,
+    /// Where the faces of a group must stay, in plan.
+    pub boxes: &'a [PlanBox],
+    /// Per tracked sample: where the source is, relative to `origin`.
+    pub samples: Vec<DVec3>,
+    /// Per tracked sample: how far the surface may be from it at this scale, metres.
+    pub limits: Vec<f64>,
+    /// Per tracked sample: the face it rides on.
+    pub rides: Vec<u32>,
+}
+
+/// Plane and weight of a current face.
+#[derive(Clone, Copy, Default)]
+struct Facet {
+    normal: DVec3,
+    d: f64,
+    area: f64,
+}
+
+/// The running state behind [`Block::collapse`].
+struct Run<'a> {
+    block: Block<'a>,
+    facets: Vec<Facet>,
+    quadrics: Vec<Quadric>,
+    version: Vec<u32>,
+    head: Vec<u32>,
+    next: Vec<u32>,
+    sample_head: Vec<u32>,
+    sample_next: Vec<u32>,
+    queue: Queue,
+    mark: Vec<u32>,
+    stamp: u32,
+    star: Vec<Corner>,
+    moved: Vec<(u32, u32)>,
+    ring: Vec<u32>,
+    log: Vec<Collapse>,
+}
+
+/// A face of a star as it would be after the collapse under test.
+#[derive(Clone, Copy)]
+struct Corner {
+    face: u32,
+    dies: bool,
+    facet: Facet,
+    corners: [DVec3; 3],
+}
+
+impl<'a> Block<'a> {
+    /// Collapses until no admissible edge is left; returns the block as it then is and what was done, in order.
+    /// Faces that died have `NONE` as first corner; positions of vertices that died are stale.
+    pub fn collapse(self) -> (Block<'a>, Vec<Collapse>) {
+        let mut run = Run::new(self);
+        run.rank_all();
+        while let Some(candidate) = run.queue.pop() {
+            run.consider(candidate);
+        }
+        (run.block, run.log)
+    }
+}
+
+impl<'a> Run<'a> {
+    fn new(block: Block<'a>) -> Self {
+        let (vertices, faces) = (block.positions.len(), block.faces.len());
+        let mut run = Self {
+            facets: vec![Facet::default(); faces],
+            quadrics: vec![Quadric::default(); vertices],
+            version: vec![0; vertices],
+            head: vec![NONE; vertices],
+            next: vec![NONE; 3 * faces],
+            sample_head: vec![NONE; faces],
+            sample_next: vec![NONE; block.samples.len()],
+            queue: Queue::new(),
+            mark: vec![0; vertices],
+            stamp: 0,
+            star: Vec::new(),
+            moved: Vec::new(),
+            ring: Vec::new(),
+            log: Vec::new(),
+            block,
+        };
+        for f in (0..faces).rev() {
+            run.facets[f] = facet(run.corners(f as u32));
+            for k in 0..3 {
+                let v = run.block.faces[f][k] as usize;
+                run.next[3 * f + k] = run.head[v];
+                run.head[v] = (3 * f + k) as u32;
+            }
+        }
+        for s in (0..run.block.samples.len()).rev() {
+            let f = run.block.rides[s] as usize;
+            run.sample_next[s] = run.sample_head[f];
+            run.sample_head[f] = s as u32;
+        }
+        for v in 0..vertices as u32 {
+            run.quadrics[v as usize] = run.quadric_of(v);
+        }
+        run
+    }
+
+    fn corners(&self, f: u32) -> [DVec3; 3] {
+        self.block.faces[f as usize].map(|v| self.block.positions[v as usize])
+    }
+
+    fn alive(&self, f: u32) -> bool {
+        self.block.faces[f as usize][0] != NONE
+    }
+
+    /// Calls `visit(face)` for the faces of `v`'s star.
+    fn each_face(&self, v: u32, mut visit: impl FnMut(u32)) {
+        let mut corner = self.head[v as usize];
+        while corner != NONE {
+            if self.alive(corner / 3) {
+                visit(corner / 3);
+            }
+            corner = self.next[corner as usize];
+        }
+    }
+
+    fn quadric_of(&self, v: u32) -> Quadric {
+        let mut sum = Quadric::default();
+        self.each_face(v, |f| {
+            let facet = &self.facets[f as usize];
+            let omega = f64::from(self.block.omega[f as usize]);
+            sum += Quadric::of_plane(facet.normal, facet.d, facet.area * omega);
+            if self.block.flags[v as usize] & BORDER != 0 {
+                for w in self.block.faces[f as usize] {
+                    if w != v && self.shared_faces(v, w) == 1 {
+                        sum += self.border_plane(v, w, facet.normal, omega);
+                    }
+                }
+            }
+        });
+        sum
+    }
+
+    /// The plane through border edge `vw`, perpendicular to its face.
+    fn border_plane(&self, v: u32, w: u32, normal: DVec3, omega: f64) -> Quadric {
+        let (p, q) = (self.block.positions[v as usize], self.block.positions[w as usize]);
+        let n = (q - p).cross(normal).normalize_or_zero();
+        Quadric::of_plane(n, -n.dot(p), BORDER_WEIGHT * (q - p).length_squared() * omega)
+    }
+
+    fn shared_faces(&self, v: u32, w: u32) -> u32 {
+        let mut count = 0;
+        self.each_face(v, |f| count += u32::from(self.block.faces[f as usize].contains(&w)));
+        count
+    }
+
+    fn rank_all(&mut self) {
+        for f in (0..self.block.faces.len()).rev() {
+            let [a, b, c] = self.block.faces[f];
+            for (u, v) in [(a, b), (b, c), (c, a)] {
+                // An inner edge is seen from every face beside it: only the first of them ranks it.
+                let mut first = f as u32;
+                self.each_face(u, |g| {
+                    if self.block.faces[g as usize].contains(&v) {
+                        first = first.min(g);
+                    }
+                });
+                if first == f as u32 {
+                    self.rank(u, v);
+                }
+            }
+        }
+    }
+
+    fn rank(&mut self, u: u32, v: u32) {
+        if let Some((_, energy)) = self.place(u, v) {
+            let stamp = self.version[u as usize] + self.version[v as usize];
+            self.queue.push(Candidate { u, v, stamp, energy });
+        }
+    }
+
+    /// Where the collapse of `uv` would put the vertex, and at what energy; none if their constraints disagree.
+    fn place(&self, u: u32, v: u32) -> Option<(DVec3, f32)> {
+        let (fu, fv) = (self.block.flags[u as usize], self.block.flags[v as usize]);
+        let (pu, pv) = (self.block.positions[u as usize], self.block.positions[v as usize]);
+        if (fu | fv) & LOCKED != 0 {
+            return None;
+        }
+        let mut sum = self.quadrics[u as usize];
+        sum += self.quadrics[v as usize];
+        self.each_face(u, |f| {
+            if self.block.faces[f as usize].contains(&v) {
+                let facet = &self.facets[f as usize];
+                let weight = facet.area * f64::from(self.block.omega[f as usize]);
+                sum += Quadric::of_plane(facet.normal, facet.d, -weight);
+            }
+        });
+        let p = on_grid(place_free(&sum, (fu, pu), (fv, pv))?);
+        Some((p, sum.at(p) as f32))
+    }
+
+    fn consider(&mut self, candidate: Candidate) {
+        let Candidate { u, v, stamp, energy: filed } = candidate;
+        if self.head[u as usize] == NONE || self.head[v as usize] == NONE {
+            return;
+        }
+        if self.version[u as usize] + self.version[v as usize] != stamp {
+            return;
+        }
+        let Some((p, energy)) = self.place(u, v) else { return };
+        if energy > filed * STALE_FACTOR && energy > f32::MIN_POSITIVE {
+            self.queue.push(Candidate { energy, ..candidate });
+            return;
+        }
+        if !self.link_allows(u, v) || !self.faces_allow(u, v, p) {
+            return;
+        }
+        if let Some(share) = self.samples_allow() {
+            self.perform(u, v, p, energy, share);
+        }
+    }
+
+    /// The link condition (Dey et al., Topology preserving edge contraction, 1999): the ends share no neighbour but
+    /// across their common faces, no two faces fold onto each other, and no border is pinched.
+    fn link_allows(&mut self, u: u32, v: u32) -> bool {
+        self.stamp += 1;
+        let stamp = self.stamp;
+        let mut shared = 0;
+        let mut corner = self.head[u as usize];
+        while corner != NONE {
+            let face = self.block.faces[corner as usize / 3];
+            if face[0] != NONE {
+                shared += u32::from(face.contains(&v));
+                face.iter().for_each(|&w| self.mark[w as usize] = stamp);
+            }
+            corner = self.next[corner as usize];
+        }
+        let border = self.block.flags[u as usize] & self.block.flags[v as usize] & BORDER != 0;
+        if shared == 0 || (border && shared > 1) {
+            return false;
+        }
+        self.ring.clear();
+        let mut folds = false;
+        let mut corner = self.head[v as usize];
+        while corner != NONE {
+            let face = self.block.faces[corner as usize / 3];
+            corner = self.next[corner as usize];
+            if face[0] == NONE {
+                continue;
+            }
+            let others = face.map(|w| if w == u || w == v { NONE } else { w });
+            let common = |w: u32| w != NONE && self.mark[w as usize] == stamp;
+            for w in others {
+                if common(w) && !self.ring.contains(&w) {
+                    self.ring.push(w);
+                }
+            }
+            if !face.contains(&u) && others.iter().filter(|&&w| common(w)).count() == 2 {
+                let [a, b] = two(others);
+                self.each_face(u, |f| {
+                    let other = &self.block.faces[f as usize];
+                    folds |= other.contains(&a) && other.contains(&b);
+                });
+            }
+        }
+        !folds && self.ring.len() as u32 <= shared
+    }
+
+    /// Fills `star` with the faces as they would be; false where one flips, vanishes or leaves its cell.
+    fn faces_allow(&mut self, u: u32, v: u32, p: DVec3) -> bool {
+        let mut star = std::mem::take(&mut self.star);
+        star.clear();
+        let mut allowed = true;
+        for (from, to) in [(u, v), (v, u)] {
+            self.each_face(from, |f| {
+                let face = self.block.faces[f as usize];
+                if face.contains(&to) {
+                    if from == u {
+                        star.push(Corner { face: f, dies: true, facet: Facet::default(), corners: [p; 3] });
+                    }
+                    return;
+                }
+                let corners = face.map(|w| if w == from { p } else { self.block.positions[w as usize] });
+                let new = facet(corners);
+                let old = &self.facets[f as usize];
+                let turned = old.area > 0.0 && new.normal.dot(old.normal) < LEAST_TURN_COS;
+                allowed &=
+                    !turned && new.area > 0.0 && self.block.boxes[self.block.group[f as usize] as usize].holds(p);
+                star.push(Corner { face: f, dies: false, facet: new, corners });
+            });
+        }
+        allowed &= star.iter().any(|c| !c.dies);
+        self.star = star;
+        allowed
+    }
+
+    /// Finds the new face of every sample of the star; the largest deviation in units of its limit, or none if one
+    /// would be further from the surface than its limit.
+    fn samples_allow(&mut self) -> Option<f32> {
+        let mut moved = std::mem::take(&mut self.moved);
+        moved.clear();
+        let mut worst = 0f64;
+        let allowed = self.star.iter().all(|corner| {
+            let mut s = self.sample_head[corner.face as usize];
+            while s != NONE {
+                let (face, squared) = nearest(&self.star, corner.face, self.block.samples[s as usize]);
+                let limit = self.block.limits[s as usize];
+                if squared > limit * limit {
+                    return false;
+                }
+                worst = worst.max(squared.sqrt() / limit);
+                moved.push((s, face));
+                s = self.sample_next[s as usize];
+            }
+            true
+        });
+        self.moved = moved;
+        allowed.then_some(worst as f32)
+    }
+
+    fn perform(&mut self, u: u32, v: u32, p: DVec3, energy: f32, share: f32) {
+        let ids = &self.block.vertex_ids;
+        let (kept, gone) = (ids[u as usize], ids[v as usize]);
+        self.log.push(Collapse { kept, gone, position: self.block.origin + p, energy, share });
+        let star = std::mem::take(&mut self.star);
+        // The list of u is relinked from the faces that live; v's is dropped.
+        self.head[u as usize] = NONE;
+        self.head[v as usize] = NONE;
+        self.ring.clear();
+        for corner in star.iter().rev() {
+            let f = corner.face as usize;
+            self.sample_head[f] = NONE;
+            for w in self.block.faces[f] {
+                if w != u && w != v && !self.ring.contains(&w) {
+                    self.ring.push(w);
+                }
+            }
+            if corner.dies {
+                self.block.faces[f] = [NONE; 3];
+                continue;
+            }
+            self.facets[f] = corner.facet;
+            for k in 0..3 {
+                let w = &mut self.block.faces[f][k];
+                if *w == v || *w == u {
+                    *w = u;
+                    self.next[3 * f + k] = self.head[u as usize];
+                    self.head[u as usize] = (3 * f + k) as u32;
+                }
+            }
+        }
+        self.star = star;
+        for i in (0..self.moved.len()).rev() {
+            let (s, face) = self.moved[i];
+            self.sample_next[s as usize] = self.sample_head[face as usize];
+            self.sample_head[face as usize] = s;
+            self.block.rides[s as usize] = face;
+        }
+        self.block.positions[u as usize] = p;
+        self.block.flags[u as usize] |= self.block.flags[v as usize];
+        self.version[u as usize] += self.version[v as usize] + 1;
+        self.quadrics[u as usize] = self.quadric_of(u);
+        let ring = std::mem::take(&mut self.ring);
+        for &w in &ring {
+            self.quadrics[w as usize] = self.quadric_of(w);
+        }
+        for &w in &ring {
+            self.rank(u, w);
+        }
+        self.ring = ring;
+    }
+}
+
+/// The best position that the constraints of both ends allow.
+fn place_free(sum: &Quadric, (fu, pu): (u8, DVec3), (fv, pv): (u8, DVec3)) -> Option<DVec3> {
+    let (mu, mv) = (fu & (FIX_X | FIX_Y), fv & (FIX_X | FIX_Y));
+    if mu & mv != mu && mu & mv != mv {
+        return None;
+    }
+    let (fixed_u, fixed_v) = (fixed(mu), fixed(mv));
+    let mut start = (pu + pv) * 0.5;
+    for k in 0..2 {
+        match (fixed_u[k], fixed_v[k]) {
+            (true, true) if pu[k] != pv[k] => return None,
+            (true, _) => start[k] = pu[k],
+            (_, true) => start[k] = pv[k],
+            _ => {}
+        }
+    }
+    let p = sum.least(start, fixed(mu | mv));
+    if (p - start).length_squared() <= (FARTHEST_LENGTHS * FARTHEST_LENGTHS) * (pu - pv).length_squared() {
+        return Some(p);
+    }
+    let ends = [Some(start), keeps(mv, pv, pu), keeps(mu, pu, pv)];
+    ends.into_iter().flatten().min_by(|a, b| sum.at(*a).total_cmp(&sum.at(*b)))
+}
+
+fn facet([a, b, c]: [DVec3; 3]) -> Facet {
+    let cross = (b - a).cross(c - a);
+    let normal = cross.normalize_or_zero();
+    Facet { normal, d: -normal.dot(a), area: 0.5 * cross.length() }
+}
+
+fn fixed(mask: u8) -> [bool; 3] {
+    [mask & FIX_X != 0, mask & FIX_Y != 0, false]
+}
+
+/// `target` if a vertex at `p` under the constraints `mask` may move there.
+fn keeps(mask: u8, p: DVec3, target: DVec3) -> Option<DVec3> {
+    let [x, y, _] = fixed(mask);
+    ((!x || p.x == target.x) && (!y || p.y == target.y)).then_some(target)
+}
+
+fn two(others: [u32; 3]) -> [u32; 2] {
+    let mut found = others.into_iter().filter(|&w| w != NONE);
+    [found.next().unwrap_or(NONE), found.next().unwrap_or(NONE)]
+}
+
+/// The living face of `star` nearest to `s`, its own first, and the squared distance.
+fn nearest(star: &[Corner], own: u32, s: DVec3) -> (u32, f64) {
+    let mut best = (NONE, f64::INFINITY);
+    let own_first = star.iter().filter(|c| c.face == own).chain(star.iter().filter(|c| c.face != own));
+    for corner in own_first.filter(|c| !c.dies) {
+        let off_plane = corner.facet.normal.dot(s) + corner.facet.d;
+        if off_plane * off_plane < best.1 {
+            let squared = (closest_on_triangle(s, &corner.corners) - s).length_squared();
+            if squared < best.1 {
+                best = (corner.face, squared);
+            }
+        }
+    }
+    best
+}

@@ -1,0 +1,166 @@
+use super::*;
+use crate::geo::bvh::Bvh;
+use crate::ids::ClassScheme;
+use crate::mesh::on_grid;
+
+/// A bumpy square of n × n cells, 1 m each, with a box-like step in it.
+fn terrain(n: u32) -> Mesh {
+    let mut mesh = Mesh::default();
+    for y in 0..=n {
+        for x in 0..=n {
+            let noise = f64::from((x * 7919 + y * 104_729) % 97) / 97.0 * 0.04;
+            let tower = if x > n / 4 && x < n / 2 && y > n / 4 && y < n / 2 { 5.0 } else { 0.0 };
+            mesh.positions.push(on_grid(DVec3::new(f64::from(x), f64::from(y), tower + noise)));
+        }
+    }
+    for y in 0..n {
+        for x in 0..n {
+            let a = y * (n + 1) + x;
+            mesh.faces.extend([[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]);
+        }
+    }
+    mesh.face_material = vec![0; mesh.faces.len()];
+    mesh
+}
+
+fn one_class(mesh: &Mesh) -> Classes {
+    let scheme = ClassScheme::default();
+    let posterior = mesh.faces.iter().flat_map(|_| [1.0, 0.0, 0.0, 0.0]).collect();
+    Classes { scheme, posterior, label: vec![ClassId::TERRAIN; mesh.faces.len()] }
+}
+
+fn everywhere() -> PlanBox {
+    PlanBox { min: DVec2::splat(-1e9), max: DVec2::splat(1e9) }
+}
+
+fn run<'a>(mesh: &'a Mesh, classes: &Classes, block_faces: usize, scales: &[f64]) -> Collapser<'a> {
+    let group = vec![0; mesh.faces.len()];
+    let boxes = [everywhere()];
+    let mut collapser = Collapser::new(mesh, classes, &CollapseConfig { block_faces });
+    for &t in scales {
+        collapser.step(t, &Fences { group_of_face: &group, boxes: &boxes });
+    }
+    collapser
+}
+
+#[test]
+fn samples_stay_within_their_budget() {
+    let mesh = terrain(40);
+    let classes = one_class(&mesh);
+    for t in [0.5, 2.0, 8.0] {
+        let cut = run(&mesh, &classes, 400, &[0.25, t]).cut();
+        assert!(cut.faces.len() < mesh.faces.len(), "nothing collapsed at {t}");
+        let bvh = Bvh::new(&cut.positions, &cut.faces);
+        for p in &mesh.positions {
+            let d = bvh.closest(*p, f64::INFINITY).unwrap().distance;
+            assert!(d <= t * 0.10 + 1e-9, "{d} m from the cut at scale {t}");
+        }
+    }
+}
+
+#[test]
+fn a_flat_square_needs_few_faces() {
+    let mut mesh = terrain(30);
+    mesh.positions.iter_mut().for_each(|p| p.z = 0.0);
+    let classes = one_class(&mesh);
+    assert!(run(&mesh, &classes, 10_000, &[1.0]).face_count() <= 60);
+}
+
+#[test]
+fn replay_equals_the_live_mesh() {
+    let mesh = terrain(40);
+    let classes = one_class(&mesh);
+    let collapser = run(&mesh, &classes, 500, &[0.3, 0.6, 1.2]);
+    let cut = collapser.cut();
+    let log = collapser.log();
+    let (positions, faces) = log.replay(&mesh, log.events.len());
+    assert_eq!(faces.iter().map(|f| f.1).collect::<Vec<_>>(), cut.faces);
+    assert_eq!(faces.iter().map(|f| f.0).collect::<Vec<_>>(), cut.face_ids);
+    for &v in cut.faces.iter().flatten() {
+        assert_eq!(positions[v as usize], cut.positions[v as usize]);
+    }
+}
+
+#[test]
+fn every_prefix_of_the_log_is_a_valid_mesh() {
+    let mesh = terrain(20);
+    let classes = one_class(&mesh);
+    let collapser = run(&mesh, &classes, 200, &[0.5, 2.0]);
+    let log = collapser.log();
+    let mut last = usize::MAX;
+    for events in (0..=log.events.len()).step_by(7) {
+        let (_, faces) = log.replay(&mesh, events);
+        let mut keys: Vec<[u32; 3]> = faces.iter().map(|f| f.1).collect();
+        keys.iter_mut().for_each(|k| k.sort_unstable());
+        keys.sort_unstable();
+        assert!(keys.windows(2).all(|w| w[0] != w[1]), "two faces fold onto each other after {events}");
+        assert!(faces.len() < last && !faces.is_empty());
+        last = faces.len();
+    }
+}
+
+#[test]
+fn walls_are_kept() {
+    let mesh = terrain(32);
+    let classes = one_class(&mesh);
+    let boxes: Vec<PlanBox> = (0..4)
+        .map(|i| {
+            let min = DVec2::new(f64::from(i % 2), f64::from(i / 2)) * 16.0;
+            PlanBox { min, max: min + 16.0 }
+        })
+        .collect();
+    let group: Vec<u32> = (0..mesh.faces.len())
+        .map(|f| {
+            let c = mesh.corners(f).iter().sum::<DVec3>() / 3.0;
+            u32::from(c.x > 16.0) + 2 * u32::from(c.y > 16.0)
+        })
+        .collect();
+    let mut collapser = Collapser::new(&mesh, &classes, &CollapseConfig { block_faces: 300 });
+    for t in [0.3, 1.0, 3.0, 9.0, 9.0] {
+        collapser.step(t, &Fences { group_of_face: &group, boxes: &boxes });
+    }
+    let cut = collapser.cut();
+    assert!(cut.faces.len() < mesh.faces.len() / 10, "{} faces", cut.faces.len());
+    for (face, &id) in cut.faces.iter().zip(&cut.face_ids) {
+        let cell = &boxes[group[id as usize] as usize];
+        assert!(face.iter().all(|&v| cell.holds(cut.positions[v as usize])));
+    }
+    // The border of each group along x = 16 is the same set of vertices from both sides.
+    let along = |side: u32| {
+        let mut on: Vec<u32> = cut
+            .faces
+            .iter()
+            .zip(&cut.face_ids)
+            .filter(|(_, id)| group[**id as usize] % 2 == side)
+            .flat_map(|(f, _)| *f)
+            .collect();
+        on.retain(|&v| cut.positions[v as usize].x == 16.0);
+        on.sort_unstable();
+        on.dedup();
+        on
+    };
+    assert_eq!(along(0), along(1));
+    assert!(along(0).len() > 2);
+}
+
+#[test]
+fn threads_do_not_change_the_result() {
+    let mesh = terrain(40);
+    let classes = one_class(&mesh);
+    let with = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| run(&mesh, &classes, 300, &[0.3, 1.0, 3.0]).log().events.clone())
+    };
+    assert_eq!(with(1), with(2));
+}
+
+#[test]
+fn an_open_border_does_not_shrink() {
+    let mesh = terrain(30);
+    let classes = one_class(&mesh);
+    let cut = run(&mesh, &classes, 10_000, &[2.0]).cut();
+    let used: Vec<DVec3> = cut.faces.iter().flatten().map(|&v| cut.positions[v as usize]).collect();
+    let low = used.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+    let high = used.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+    assert!(low.truncate().length() < 0.2 && (high.truncate() - 30.0).length() < 0.2, "{low} {high}");
+}

@@ -1,1 +1,3 @@
-//! (to come)
+//! Cuts the collapse into a tree of tiles.
+
+pub mod partition;

@@ -1,3 +1,8 @@
-//! Cuts the collapse into a tree of tiles.
+//! Cuts the collapse into a tree of tiles and measures each of them.
 
+pub mod error;
+pub mod levels;
 pub mod partition;
+
+pub use levels::{LevelsConfig, TileMesh, TileTree};
+pub use partition::Partition;

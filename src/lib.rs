@@ -13,6 +13,7 @@
 pub mod classes;
 pub mod cli;
 pub mod collapse;
+pub mod config;
 pub mod demo;
 pub mod error;
 pub mod geo;

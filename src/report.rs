@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicI32, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, LazyLock, Mutex};
 use std::time::{Duration, Instant};
 
 use indicatif::{ProgressBar, ProgressStyle};
@@ -12,7 +12,7 @@ use serde::Serialize;
 use crate::{Error, Result};
 
 /// The signal that asked this process to stop, 0 while none has.
-pub static STOP_SIGNAL: AtomicI32 = AtomicI32::new(0);
+pub static STOP_SIGNAL: LazyLock<Arc<AtomicUsize>> = LazyLock::new(Arc::default);
 
 /// One kind of warning, with the first place it was seen.
 #[derive(Debug, Clone, Serialize)]
@@ -102,7 +102,7 @@ impl Reporter {
         };
         bar.set_message(name);
         bar.enable_steady_tick(Duration::from_millis(200));
-        Stage { reporter: self, name, bar, done: AtomicU64::new(0), started: Instant::now() }
+        Stage { reporter: self, name, bar, started: Instant::now() }
     }
 
     /// An error if the user asked to stop; stages call it between steps.
@@ -112,7 +112,7 @@ impl Reporter {
     pub fn check(&self) -> Result<()> {
         match STOP_SIGNAL.load(Ordering::Relaxed) {
             0 => Ok(()),
-            signal => Err(Error::Cancelled { signal }),
+            signal => Err(Error::Cancelled { signal: signal as i32 }),
         }
     }
 
@@ -133,14 +133,12 @@ pub struct Stage<'a> {
     reporter: &'a Reporter,
     name: &'static str,
     bar: ProgressBar,
-    done: AtomicU64,
     started: Instant,
 }
 
 impl Stage<'_> {
     /// One step further. May be called from any thread.
     pub fn step(&self, steps: u64) {
-        self.done.fetch_add(steps, Ordering::Relaxed);
         self.bar.inc(steps);
     }
 

@@ -1,5 +1,6 @@
 //! Cuts the collapse into a tree of tiles and measures each of them.
 
+pub mod content;
 pub mod error;
 pub mod levels;
 pub mod partition;

@@ -1,0 +1,213 @@
+//! Every setting of a build, in one tree, and how its layers are merged: defaults, then a file, then `--set key=value`.
+
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+use toml::{Table, Value};
+
+use crate::classes::ClassesConfig;
+use crate::collapse::CollapseConfig;
+use crate::ids::ClassScheme;
+use crate::mesh::GateConfig;
+use crate::planes::PlanesConfig;
+use crate::texture::TextureConfig;
+use crate::tiles::LevelsConfig;
+use crate::{Error, Result};
+
+/// All settings that change the bytes of a build. Threads, paths and progress are not among them.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Config {
+    /// The gate: welding and cleaning.
+    pub gate: GateConfig,
+    /// Planar regions.
+    pub planes: PlanesConfig,
+    /// Classification.
+    pub classify: ClassesConfig,
+    /// Simplification.
+    pub collapse: CollapseConfig,
+    /// The hierarchy.
+    pub levels: LevelsConfig,
+    /// Atlases.
+    pub texture: TextureConfig,
+    /// The files written.
+    pub write: WriteConfig,
+    /// Classes, their budgets in metres, their colours.
+    pub classes: ClassScheme,
+}
+
+/// What is written into tiles and tileset.json.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WriteConfig {
+    /// KHR_mesh_quantization and EXT_meshopt_compression. Default: false.
+    pub compress: bool,
+    /// A primitive per class instead of one draw call a tile. Default: false.
+    pub primitives_per_class: bool,
+    /// Vertex normals, for lit renderers. Default: false.
+    pub normals: bool,
+    /// k in `geometricError` = max(geometry, k·texel): the screen-space error, in pixels, of the viewer the tileset is
+    /// for. Default: 16, CesiumJS's own; use 1 or 2 for viewers that ask for one or two pixels.
+    pub texel_factor: f64,
+    /// Credit to show, added to any found in the input.
+    pub copyright: String,
+}
+
+impl Default for WriteConfig {
+    fn default() -> Self {
+        Self {
+            compress: false,
+            primitives_per_class: false,
+            normals: false,
+            texel_factor: 16.0,
+            copyright: String::new(),
+        }
+    }
+}
+
+/// More classes than this do not fit a feature id byte with room to spare.
+const MOST_CLASSES: usize = 32;
+
+impl Config {
+    /// Merges the layers and checks the result.
+    ///
+    /// # Errors
+    /// A file that cannot be read or parsed, an unknown key, a value of the wrong type, or settings out of range: all
+    /// of them in one message.
+    pub fn layered(file: Option<&Path>, sets: &[String]) -> Result<Self> {
+        let mut merged = Table::try_from(Self::default()).map_err(|e| Error::Bug(format!("defaults: {e}")))?;
+        if let Some(path) = file {
+            let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+            let table: Table = text
+                .parse()
+                .map_err(|e: toml::de::Error| Error::Config(format!("{}: {}", path.display(), e.message())))?;
+            merge(&mut merged, table);
+        }
+        for set in sets {
+            merge(&mut merged, parse_set(set)?);
+        }
+        let config: Self = Value::Table(merged).try_into().map_err(|e: toml::de::Error| {
+            Error::Config(format!(
+                "settings: {}; --dump-config prints every setting with its default",
+                e.message().trim()
+            ))
+        })?;
+        config.check()?;
+        Ok(config)
+    }
+
+    /// As TOML, every setting.
+    ///
+    /// # Errors
+    /// Never in practice: the tree serialises.
+    pub fn to_toml(&self) -> Result<String> {
+        toml::to_string_pretty(self).map_err(|e| Error::Bug(format!("settings: {e}")))
+    }
+
+    /// Lists every setting out of its range.
+    ///
+    /// # Errors
+    /// [`Error::Config`] naming all of them.
+    pub fn check(&self) -> Result<()> {
+        let mut faults = self.levels.faults();
+        faults.extend(self.planes.check());
+        faults.extend(self.classify.check());
+        if let Err(error) = self.texture.check() {
+            faults.push(error.to_string());
+        }
+        if !(0.0..=1.0).contains(&self.gate.weld_m) {
+            faults.push(format!("gate.weld_m is {} m, wanted 0 to 1", self.gate.weld_m));
+        }
+        if self.collapse.block_faces < 1000 {
+            faults.push(format!("collapse.block_faces is {}, wanted at least 1000", self.collapse.block_faces));
+        }
+        if !(0.1..=1000.0).contains(&self.write.texel_factor) {
+            faults.push(format!("write.texel_factor is {}, wanted 0.1 to 1000", self.write.texel_factor));
+        }
+        self.check_classes(&mut faults);
+        if faults.is_empty() { Ok(()) } else { Err(Error::Config(format!("settings: {}", faults.join("; ")))) }
+    }
+
+    fn check_classes(&self, faults: &mut Vec<String>) {
+        let scheme = &self.classes;
+        for wanted in ["terrain", "facade", "roof", "clutter"].iter().enumerate() {
+            if scheme.0.get(wanted.0).is_none_or(|c| c.name != *wanted.1) {
+                faults.push(format!(
+                    "class {} must be {:?}: the classifier's rules speak of the four of the paper",
+                    wanted.0, wanted.1
+                ));
+            }
+        }
+        if scheme.len() > MOST_CLASSES {
+            faults.push(format!("{} classes, at most {MOST_CLASSES}", scheme.len()));
+        }
+        for class in &scheme.0 {
+            if !(1e-4..=1e3).contains(&class.budget_m) {
+                faults.push(format!("the budget of {} is {} m, wanted 0.0001 to 1000", class.name, class.budget_m));
+            }
+        }
+    }
+}
+
+/// `a.b=value`, the value as in TOML, or a bare word as text.
+fn parse_set(set: &str) -> Result<Table> {
+    let wanted = || Error::Config(format!("--set {set}: wanted KEY=VALUE, for instance levels.leaf_faces=20000"));
+    let (key, value) = set.split_once('=').ok_or_else(wanted)?;
+    let (key, value) = (key.trim(), value.trim());
+    if key.is_empty() || !key.chars().all(|c| c.is_ascii_alphanumeric() || "._-".contains(c)) {
+        return Err(wanted());
+    }
+    let as_toml = format!("{key} = {value}");
+    let as_text = || format!("{key} = {}", Value::String(value.to_owned()));
+    as_toml.parse().or_else(|_| as_text().parse()).map_err(|_: toml::de::Error| wanted())
+}
+
+fn merge(into: &mut Table, from: Table) {
+    for (key, value) in from {
+        match (into.get_mut(&key), value) {
+            (Some(Value::Table(below)), Value::Table(above)) => merge(below, above),
+            (_, value) => {
+                into.insert(key, value);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn set(pairs: &[&str]) -> Result<Config> {
+        Config::layered(None, &pairs.iter().map(|s| (*s).to_owned()).collect::<Vec<_>>())
+    }
+
+    #[test]
+    fn later_layers_win_and_the_rest_keeps_its_default() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[levels]\nleaf_faces = 1000\ntile_faces = 2000\n").unwrap();
+        let config =
+            Config::layered(Some(file.path()), &["levels.leaf_faces=3000".into(), "write.copyright=City of X".into()])
+                .unwrap();
+        assert_eq!((config.levels.leaf_faces, config.levels.tile_faces), (3000, 2000));
+        assert_eq!(config.write.copyright, "City of X");
+        assert_eq!(config.gate, GateConfig::default());
+    }
+
+    #[test]
+    fn a_dumped_config_reads_back_as_itself() {
+        let config = set(&["write.compress=true"]).unwrap();
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), config.to_toml().unwrap()).unwrap();
+        assert_eq!(Config::layered(Some(file.path()), &[]).unwrap(), config);
+    }
+
+    #[test]
+    fn every_fault_is_named_at_once() {
+        let message = set(&["levels.step_ratio=9", "gate.weld_m=-1"]).unwrap_err().to_string();
+        assert!(message.contains("step_ratio") && message.contains("weld_m"), "{message}");
+        for (bad, word) in [("levels.leaf_face=3", "leaf_face"), ("levels=3", "levels"), ("nonsense", "KEY=VALUE")] {
+            let error = set(&[bad]).unwrap_err();
+            assert!(error.to_string().contains(word) && error.exit_code() == 2, "{error}");
+        }
+    }
+}

@@ -196,3 +196,85 @@ impl Source {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs;
+
+    const TRIANGLE: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n";
+
+    /// Tiles that share one image and have one material each of the same name.
+    fn tiles(names: &[&str]) -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        for name in names {
+            fs::create_dir(folder.path().join(name)).unwrap();
+            let text = format!("mtllib m.mtl\nusemtl grass\nf 1 2 3\nusemtl wall\n{TRIANGLE}");
+            fs::write(folder.path().join(name).join("tile.obj"), text).unwrap();
+            let mtl =
+                format!("newmtl grass\nKd 0 1 0\nnewmtl wall\nmap_Kd {name}.jpg\nnewmtl unused\nmap_Kd gone.jpg\n");
+            fs::write(folder.path().join(name).join("m.mtl"), mtl.replace("b.jpg", "../a/a.jpg")).unwrap();
+            fs::write(folder.path().join(name).join(format!("{name}.jpg")), "x").unwrap();
+        }
+        folder
+    }
+
+    fn read_all(inputs: &[PathBuf]) -> (Result<(Source, Found)>, Vec<(&'static str, u64, PathBuf)>) {
+        let reporter = Reporter::new(true);
+        let outcome = read(inputs, &InputConfig::default(), &reporter);
+        (outcome, reporter.warnings().into_iter().map(|w| (w.code, w.count, w.first_path)).collect())
+    }
+
+    #[test]
+    fn files_are_merged_in_order_with_their_own_materials_and_shared_images() {
+        let folder = tiles(&["c", "a", "b"]);
+        let (outcome, warnings) = read_all(&[folder.path().to_path_buf()]);
+        let (source, found) = outcome.unwrap();
+        assert_eq!(warnings, []);
+        let paths: Vec<_> = source.parts.iter().map(|part| part.path.clone()).collect();
+        assert_eq!(paths, ["a", "b", "c"].map(|name| folder.path().join(name).join("tile.obj")));
+        assert_eq!(paths, found.files);
+        assert_eq!(source.parts.iter().map(|p| p.face_material.clone()).collect::<Vec<_>>(), [[0, 1], [2, 3], [4, 5]]);
+        let images: Vec<_> = source.materials.iter().map(|m| m.image).collect();
+        assert_eq!(images, [None, Some(0), None, Some(0), None, Some(1)], "tile b uses the image of tile a");
+        assert_eq!(source.images.len(), 2);
+    }
+
+    #[test]
+    fn thread_count_changes_neither_result_nor_warnings() {
+        let names = ["a", "b", "c", "d", "e", "f", "g"];
+        let folder = tiles(&names);
+        for name in &names[2..] {
+            fs::remove_file(folder.path().join(name).join("m.mtl")).unwrap();
+        }
+        let run = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let (outcome, warnings) = pool.install(|| read_all(&[folder.path().to_path_buf()]));
+            (format!("{:?}", outcome.unwrap()), warnings)
+        };
+        let one = run(1);
+        assert_eq!(one.1, [("missing-mtl", 5, folder.path().join("c/tile.obj"))]);
+        assert_eq!(run(2), one);
+        assert_eq!(run(8), one);
+    }
+
+    #[test]
+    fn of_several_broken_files_the_first_is_told() {
+        let folder = tiles(&["a", "b", "c", "d", "e"]);
+        for name in ["b", "d", "e"] {
+            fs::write(folder.path().join(name).join("tile.obj"), "nothing").unwrap();
+        }
+        let error = read_all(&[folder.path().to_path_buf()]).0.unwrap_err();
+        assert!(matches!(&error, Error::Input { path, .. } if path.ends_with("b/tile.obj")), "{error}");
+    }
+
+    #[test]
+    fn a_file_named_alone_may_not_refer_beside_its_folder_as_one_in_a_named_folder_may() {
+        let folder = tiles(&["a", "b"]);
+        let file = folder.path().join("b/tile.obj");
+        assert!(matches!(read_all(&[file.clone()]).0, Err(Error::Input { .. })));
+        // Naming a second file elsewhere must not widen what the first may refer to.
+        assert!(matches!(read_all(&[file, folder.path().join("a/tile.obj")]).0, Err(Error::Input { .. })));
+        assert!(read_all(&[folder.path().to_path_buf()]).0.is_ok());
+    }
+}

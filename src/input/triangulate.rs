@@ -16,11 +16,10 @@
 
 use glam::{DVec2, DVec3};
 
-/// Ear tests allowed per corner: enough for every simple polygon of some 4000 corners; keeps a hostile line of half
-/// a million corners under a second.
+/// Ear tests allowed per corner: enough for every simple polygon of some 4000 corners.
 const STEPS_PER_CORNER: u64 = 4096;
-/// The most ear tests for one polygon.
-const STEPS_LIMIT: u64 = 1 << 28;
+/// The most ear tests for one polygon: about a second for a hostile line of half a million corners.
+const STEPS_LIMIT: u64 = 1 << 26;
 /// Areas below this part of the polygon's squared extent count as zero: some 1000 times f64's rounding.
 const FLAT: f64 = 1e-12;
 /// Relative difference between the polygon's area and its triangles' that betrays a polygon crossing itself.

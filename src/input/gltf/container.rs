@@ -26,8 +26,8 @@ pub fn split<'a>(path: &Path, bytes: &'a [u8], reporter: &Reporter) -> Result<Co
         return split_glb(path, bytes, reporter);
     }
     let json = trim(bytes);
-    if json.is_empty() {
-        return Err(Error::input(path, "the file is empty; a glTF starts with '{' or 'glTF'"));
+    if !json.trim_ascii_start().starts_with(b"{") {
+        return Err(Error::input(path, "is not a glTF: it starts with neither '{' nor 'glTF'"));
     }
     Ok(Container { json, bin: None })
 }

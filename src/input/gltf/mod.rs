@@ -146,7 +146,7 @@ fn draco(path: &Path) -> Error {
 fn nothing_found(root: &Root) -> String {
     let scene = root.scene.unwrap_or(Int(0)).0;
     format!(
-        "shows no triangles: scene {scene} of {} with {} nodes and {} meshes",
+        "shows no triangles: scene {scene} of {} with {} nodes and {} meshes; export meshes within a scene",
         root.scenes.len(),
         root.nodes.len(),
         root.meshes.len()

@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use glam::{DVec3, Vec2};
 
+pub mod georeference;
 pub mod gltf;
 pub mod obj;
 pub mod ply;

@@ -15,6 +15,7 @@ use crate::report::Reporter;
 use crate::{Error, Result};
 
 pub mod discover;
+pub mod georeference;
 pub mod gltf;
 mod lines;
 mod mtl;

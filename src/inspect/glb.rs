@@ -112,6 +112,9 @@ pub(super) fn parse(bytes: &[u8]) -> Result<Glb> {
     Ok(glb)
 }
 
+/// Reads one component.
+type Read = fn(&[u8]) -> f64;
+
 impl Glb {
     fn buffer(&self, index: u32) -> Result<&[u8]> {
         match self.gltf.buffers.get(index as usize) {
@@ -140,7 +143,7 @@ impl Glb {
                 decoded.push(None);
                 continue;
             };
-            let size = m.count.checked_mul(m.byte_stride).unwrap_or(u64::MAX);
+            let size = m.count.saturating_mul(m.byte_stride);
             total = total.saturating_add(size);
             if total > MAX_DECODED_BYTES {
                 return broken(format!("decompresses to more than {MAX_DECODED_BYTES} bytes"));
@@ -182,7 +185,7 @@ impl Glb {
         let (None, Some(view_index)) = (&a.sparse, a.buffer_view) else {
             return unsupported(format!("accessor {index} is sparse or empty"));
         };
-        let (size, read, unit): (usize, fn(&[u8]) -> f64, f64) = match a.component_type {
+        let (size, read, unit): (usize, Read, f64) = match a.component_type {
             BYTE => (1, |b| f64::from(b[0] as i8), 127.0),
             UNSIGNED_BYTE => (1, |b| f64::from(b[0]), 255.0),
             SHORT => (2, |b| f64::from(i16::from_le_bytes([b[0], b[1]])), 32767.0),

@@ -53,7 +53,7 @@ impl TileContent {
         if !finite {
             return Err("a position, normal or uv is not finite".into());
         }
-        if self.atlas.is_some() != !self.uvs.is_empty() {
+        if self.atlas.is_some() == self.uvs.is_empty() {
             return Err("an atlas needs uvs and uvs an atlas".into());
         }
         for (f, face) in self.faces.iter().enumerate() {

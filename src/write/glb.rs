@@ -36,6 +36,10 @@ pub struct GlbOptions {
     pub primitives_per_class: bool,
 }
 
+/// Name of the feature id set. CesiumJS makes it an identifier in a shader, where `class` is a reserved word: the
+/// shader does not compile and nothing is drawn.
+const FEATURE_LABEL: &str = "surface";
+
 const MESHOPT: &str = "EXT_meshopt_compression";
 const UNLIT: &str = "KHR_materials_unlit";
 
@@ -268,7 +272,7 @@ impl Writer {
             let features = FeatureIds {
                 feature_count: scheme.len() as u32,
                 attribute: Some(0),
-                label: Some("class".into()),
+                label: Some(FEATURE_LABEL.into()),
                 property_table: Some(0),
             };
             let features = MeshFeatures { feature_ids: vec![features] };

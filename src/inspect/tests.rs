@@ -345,3 +345,13 @@ fn a_summary_counts_levels_and_leaf_classes() {
     std::fs::remove_file(town.path().join("0.glb")).unwrap();
     assert_eq!(tileset(town.path()).unwrap().unread.len(), 1);
 }
+
+/// CesiumJS 1.145 turns the label of a feature id set into an identifier of its shader; with `class`, a reserved word
+/// of GLSL, the shader did not compile and nothing was drawn.
+#[test]
+fn the_feature_label_is_no_reserved_word_of_shaders() {
+    let content = square(DVec3::ZERO, 10.0, 1);
+    let glb = glb::parse(&crate::write::glb(&content, &ClassScheme::default(), &PLAIN)).unwrap();
+    let features = glb.gltf.meshes[0].primitives[0].extensions.as_ref().unwrap().mesh_features.as_ref().unwrap();
+    assert_eq!(features.feature_ids[0].label.as_deref(), Some("surface"));
+}

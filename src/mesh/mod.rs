@@ -4,6 +4,8 @@ use glam::{DVec3, Vec2};
 
 use crate::input::Material;
 
+pub mod topology;
+
 /// A welded triangle mesh in the local frame (metres, x east, y north, z up). Valid by construction: see [`Mesh::check`].
 #[derive(Debug, Clone, Default)]
 pub struct Mesh {

@@ -16,6 +16,7 @@ pub const GRID_PER_M: f64 = (1u64 << 20) as f64;
 pub fn on_grid(p: DVec3) -> DVec3 {
     (p * GRID_PER_M).round() / GRID_PER_M
 }
+pub mod topology;
 
 /// A welded triangle mesh in the local frame (metres, x east, y north, z up). Valid by construction: see [`Mesh::check`].
 #[derive(Debug, Clone, Default)]

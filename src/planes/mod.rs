@@ -1,6 +1,31 @@
 //! Grows planar regions over a mesh.
+//!
+//! In: a [`Mesh`]. Out: [`Planes`]: a normal per vertex, a region per face, a plane per region.
+//!
+//! # Method
+//! 1. `normals`: face normals filtered over edge neighbours within a radius, edges preserved; vertex normals are
+//!    their area-weighted means. (The paper fits a surface per vertex neighbourhood; a filtered normal is that
+//!    fit's gradient at a tenth of the cost.)
+//! 2. `grow`: seeds by flatness, flattest first; a region takes neighbours that pass a distance and an angle to
+//!    its plane, which is refitted by least squares whenever it has grown by a quarter.
+//! 3. Faces on a border between regions go to the region that fits them best; coplanar neighbours merge; what
+//!    stays small dissolves.
+//!
+//! # Numbers     see [`PlanesConfig`]
+//! # Promises    deterministic for any number of threads; `regions` is sorted by area; ids index it
+//! # Limits      growing itself is serial; a smooth curved surface falls apart into flat patches
+//! # Cost        about 0.5 µs a face and core, 80 bytes a face while it runs
 
 use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
+
+use crate::mesh::Mesh;
+
+mod fit;
+mod grow;
+mod normals;
+
+pub use fit::{Moments, Plane};
 
 /// Planar regions of a mesh and the smoothed normals they grew from.
 #[derive(Debug, Clone, Default)]
@@ -29,4 +54,56 @@ pub struct Region {
     pub area_m2: f64,
     /// Number of its faces.
     pub faces: u32,
+}
+
+/// How flat a plane has to be.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PlanesConfig {
+    /// Largest distance of a face's centre from its region's plane, metres, > 0. Corners may be twice as far.
+    /// Default: none, which takes max(half the median edge, four times the mesh's own noise), within 0.05 to 0.5.
+    pub distance_m: Option<f64>,
+    /// Largest angle between a face's filtered normal and its region's, degrees, 1 to 80. Default: 25.
+    pub angle_deg: f64,
+    /// Radius over which face normals are filtered, metres, ≥ 0. Default: 1.0, the size of the smallest part of a
+    /// roof worth a plane of its own.
+    pub smoothing_radius_m: f64,
+    /// Smaller regions dissolve, m². Default: 0.5.
+    pub min_area_m2: f64,
+    /// Regions of fewer faces dissolve unless they are larger than 8 m². Default: 6.
+    pub min_faces: u32,
+}
+
+impl Default for PlanesConfig {
+    fn default() -> Self {
+        Self { distance_m: None, angle_deg: 25.0, smoothing_radius_m: 1.0, min_area_m2: 0.5, min_faces: 6 }
+    }
+}
+
+impl PlanesConfig {
+    /// Every setting that is out of its range, as a sentence.
+    pub fn check(&self) -> Vec<String> {
+        let mut wrong = Vec::new();
+        if self.distance_m.is_some_and(|d| !(d > 0.0 && d.is_finite())) {
+            wrong.push(format!("planes.distance_m is {:?}, wanted a positive length", self.distance_m));
+        }
+        if !(1.0..=80.0).contains(&self.angle_deg) {
+            wrong.push(format!("planes.angle_deg is {}, wanted 1 to 80", self.angle_deg));
+        }
+        if !(self.smoothing_radius_m >= 0.0 && self.smoothing_radius_m.is_finite()) {
+            wrong.push(format!("planes.smoothing_radius_m is {}, wanted 0 or more", self.smoothing_radius_m));
+        }
+        if !(self.min_area_m2 >= 0.0 && self.min_area_m2.is_finite()) {
+            wrong.push(format!("planes.min_area_m2 is {}, wanted 0 or more", self.min_area_m2));
+        }
+        wrong
+    }
+}
+
+/// Finds the planes of a mesh.
+pub fn grow(mesh: &Mesh, config: &PlanesConfig) -> Planes {
+    let surface = normals::surface(mesh, config);
+    let vertex_normals = normals::of_vertices(mesh, &surface);
+    let (face_region, regions) = grow::regions(mesh, &surface, config);
+    Planes { vertex_normals, face_region, regions, median_edge_m: surface.median_edge_m }
 }

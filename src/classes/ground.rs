@@ -1,0 +1,500 @@
+//! The ground under a scene: a height grid that runs below buildings and trees but follows slopes and cliffs.
+//!
+//! # Method
+//! 1. Lowest upward-facing surface per cell; feet of tall walls where nothing upward lies near them (buildings
+//!    captured without their surroundings); small pits (reconstruction noise below ground) are filled.
+//! 2. Openings with windows that grow cell by cell: what one step cuts off by more than the terrain's slope
+//!    explains stands on the ground. Twice: the first pass allows [`STEEPEST`] everywhere and yields the local
+//!    slope for the second. A cliff or terrace survives, since an opening cuts only what falls on all sides.
+//! 3. Cells that were cut, and cells without surface, are interpolated from the others, coarse to fine.
+//!
+//! # Limits      a hill with vertical sides narrower than the widest window is an object; a building that hangs on a
+//!               slope without a free side is ground; skirts below a tile's rim can pass for wall feet
+//! # References  Zhang et al., A progressive morphological filter for removing nonground measurements, 2003
+
+use glam::DVec3;
+use rayon::prelude::*;
+
+use super::ClassesConfig;
+use crate::mesh::Mesh;
+use crate::planes::{NONE, Planes};
+
+/// Steepest ground the first pass believes in, metres per metre: 45°.
+const STEEPEST: f32 = 1.0;
+/// What a step may cut off beyond the slope's share, metres: kerbs, noise.
+const STEP_SLACK_M: f32 = 0.3;
+/// Slope allowed beyond the one measured in the first pass.
+const SLOPE_SLACK: f32 = 0.15;
+/// A face counts as upward above this z of its normal: 66°.
+const UPWARD: f32 = 0.4;
+/// Pits deeper than this and smaller than [`PIT_AREA_M2`] are noise.
+const PIT_DEPTH_M: f32 = 1.5;
+/// See [`PIT_DEPTH_M`]; alleys are longer, wells rarer than noise.
+const PIT_AREA_M2: f64 = 12.0;
+/// Walls at least this tall mark the ground with their feet.
+const WALL_HEIGHT_M: f64 = 2.5;
+/// Samples a single face may leave in the grid: bounds the time for huge faces.
+const MAX_SAMPLES: f64 = 4096.0;
+/// A height difference within 3 × 3 cells beyond this slope is a cliff: 63°.
+const CLIFF: f32 = 2.0;
+
+/// Heights of the ground and of the lowest surface over a plan grid.
+#[derive(Debug, Clone)]
+pub struct Ground {
+    /// Lower left corner of cell (0, 0) and the zero of all heights here.
+    origin: DVec3,
+    cell_m: f64,
+    nx: usize,
+    ny: usize,
+    /// Ground per cell centre.
+    height: Vec<f32>,
+    /// Highest ground of 3 × 3 cells.
+    upper: Vec<f32>,
+    /// Lowest surface per cell, infinite where there is none.
+    lowest: Vec<f32>,
+}
+
+impl Ground {
+    /// Models the ground of a mesh.
+    pub fn of(mesh: &Mesh, planes: &Planes, config: &ClassesConfig) -> Self {
+        let mut ground = Self::grid(mesh, config);
+        ground.lowest = ground.lowest_surface(mesh, planes);
+        let widest = ((0.5 * config.widest_building_m / ground.cell_m).ceil() as usize).max(1);
+        let cell = ground.cell_m as f32;
+        let surface = fill(ground.lowest.clone(), ground.nx, ground.ny);
+        let allowed = vec![STEEPEST * cell + STEP_SLACK_M; surface.len()];
+        let first = ground.without_objects(&surface, &allowed, widest);
+        let slope = ground.slope(&first);
+        let allowed: Vec<f32> = slope.iter().map(|s| (s + SLOPE_SLACK).min(STEEPEST) * cell + STEP_SLACK_M).collect();
+        let second = ground.without_objects(&surface, &allowed, widest);
+        ground.height = ground.recentred(&second);
+        ground.upper = extreme(&ground.height, ground.nx, ground.ny, 1, f32::max);
+        ground
+    }
+
+    /// An empty grid of 1 m cells, coarser where the extent would need too many of them or most would be empty.
+    fn grid(mesh: &Mesh, config: &ClassesConfig) -> Self {
+        let mut low = DVec3::splat(f64::INFINITY);
+        let mut high = DVec3::splat(f64::NEG_INFINITY);
+        for p in &mesh.positions {
+            low = low.min(*p);
+            high = high.max(*p);
+        }
+        if mesh.positions.is_empty() {
+            (low, high) = (DVec3::ZERO, DVec3::ZERO);
+        }
+        let size = high - low;
+        let worthwhile = 65_536.0 + 4.0 * mesh.faces.len() as f64;
+        let limit = f64::from(config.max_cells.max(16)).min(worthwhile);
+        let mut cell_m = 1.0;
+        let count = |cell: f64| ((size.x / cell).floor() + 1.0) * ((size.y / cell).floor() + 1.0);
+        while count(cell_m) > limit {
+            cell_m *= 1.25;
+        }
+        let (nx, ny) = ((size.x / cell_m) as usize + 1, (size.y / cell_m) as usize + 1);
+        Self { origin: low, cell_m, nx, ny, height: Vec::new(), upper: Vec::new(), lowest: Vec::new() }
+    }
+
+    /// Height of a point above the ground, metres. Beside a cliff the ground is its upper edge, so that the edge
+    /// itself is not in the air.
+    pub fn height_above(&self, p: DVec3) -> f32 {
+        let q = p - self.origin;
+        let (x, y) = (q.x / self.cell_m - 0.5, q.y / self.cell_m - 0.5);
+        let (x, y) = (x.clamp(0.0, (self.nx - 1) as f64), y.clamp(0.0, (self.ny - 1) as f64));
+        let (i, j) = ((x as usize).min(self.nx.saturating_sub(2)), (y as usize).min(self.ny.saturating_sub(2)));
+        let (u, v) = ((x - i as f64) as f32, (y - j as f64) as f32);
+        let at = |i: usize, j: usize| self.height[j.min(self.ny - 1) * self.nx + i.min(self.nx - 1)];
+        let lower = at(i, j) * (1.0 - u) + at(i + 1, j) * u;
+        let upper = at(i, j + 1) * (1.0 - u) + at(i + 1, j + 1) * u;
+        let ground = lower * (1.0 - v) + upper * v;
+        let cell = self.cell(p).unwrap_or(0);
+        let edge = self.upper[cell];
+        let ground = if edge - ground > CLIFF * self.cell_m as f32 { edge } else { ground };
+        q.z as f32 - ground
+    }
+
+    /// How far the lowest surface at the plan position of `p` lies below `p`; `None` where there is no surface.
+    pub fn drop_below(&self, p: DVec3) -> Option<f32> {
+        let low = self.lowest[self.cell(p)?];
+        low.is_finite().then(|| (p.z - self.origin.z) as f32 - low)
+    }
+
+    fn cell(&self, p: DVec3) -> Option<usize> {
+        let q = (p - self.origin) / self.cell_m;
+        let (i, j) = (q.x as usize, q.y as usize);
+        (q.x >= 0.0 && q.y >= 0.0 && i < self.nx && j < self.ny).then(|| j * self.nx + i)
+    }
+
+    /// Lowest upward surface per cell, completed by wall feet, without pits.
+    fn lowest_surface(&self, mesh: &Mesh, planes: &Planes) -> Vec<f32> {
+        let mut low = vec![f32::INFINITY; self.nx * self.ny];
+        for f in 0..mesh.faces.len() {
+            let normal: f32 = mesh.faces[f].iter().map(|&v| planes.vertex_normals[v as usize].z).sum::<f32>() / 3.0;
+            if normal > UPWARD {
+                self.drop_samples(mesh.corners(f).map(|p| p - self.origin), &mut low);
+            }
+        }
+        let feet = self.wall_feet(mesh, planes);
+        let around = extreme(&low, self.nx, self.ny, 1, f32::min);
+        for (cell, foot) in feet.iter().enumerate() {
+            if *foot + 2.0 < around[cell] {
+                low[cell] = low[cell].min(*foot);
+            }
+        }
+        self.fill_pits(low)
+    }
+
+    /// Lowers the cells under a face: its corners, and its inside where it is wider than a cell.
+    fn drop_samples(&self, [a, b, c]: [DVec3; 3], low: &mut [f32]) {
+        let mut put = |p: DVec3| {
+            let (i, j) = ((p.x / self.cell_m) as usize, (p.y / self.cell_m) as usize);
+            let cell = &mut low[j.min(self.ny - 1) * self.nx + i.min(self.nx - 1)];
+            *cell = cell.min(p.z as f32);
+        };
+        [a, b, c].into_iter().for_each(&mut put);
+        let (min, max) = (a.min(b).min(c) / self.cell_m, a.max(b).max(c) / self.cell_m);
+        let (wide, tall) = (max.x.floor() - min.x.floor() + 1.0, max.y.floor() - min.y.floor() + 1.0);
+        if wide * tall <= 2.0 {
+            return;
+        }
+        let twice = (b - a).truncate().perp_dot((c - a).truncate());
+        if twice == 0.0 {
+            return;
+        }
+        let stride = (wide * tall / MAX_SAMPLES).sqrt().ceil().max(1.0);
+        let (mut y, end) = (min.y.floor() + 0.5, max);
+        while y <= end.y {
+            let mut x = min.x.floor() + 0.5;
+            while x <= end.x {
+                let p = DVec3::new(x, y, 0.0) * self.cell_m;
+                let wb = (p - a).truncate().perp_dot((c - a).truncate()) / twice;
+                let wc = (b - a).truncate().perp_dot((p - a).truncate()) / twice;
+                if wb >= 0.0 && wc >= 0.0 && wb + wc <= 1.0 {
+                    put(DVec3::new(p.x, p.y, a.z + wb * (b.z - a.z) + wc * (c.z - a.z)));
+                }
+                x += stride;
+            }
+            y += stride;
+        }
+    }
+
+    /// Lowest corner per cell of the faces of tall, upright planes.
+    fn wall_feet(&self, mesh: &Mesh, planes: &Planes) -> Vec<f32> {
+        let mut feet = vec![f32::INFINITY; self.nx * self.ny];
+        let mut span = vec![(f64::INFINITY, f64::NEG_INFINITY); planes.regions.len()];
+        let upright = |r: u32| r != NONE && planes.regions[r as usize].normal.z.abs() < 0.2;
+        for (f, &r) in planes.face_region.iter().enumerate().filter(|(_, r)| upright(**r)) {
+            for p in mesh.corners(f) {
+                let span = &mut span[r as usize];
+                *span = (span.0.min(p.z), span.1.max(p.z));
+            }
+        }
+        for (f, &r) in planes.face_region.iter().enumerate().filter(|(_, r)| upright(**r)) {
+            let (bottom, top) = span[r as usize];
+            for p in mesh.corners(f) {
+                // Only the foot itself, not every course of bricks above it.
+                if top - bottom > WALL_HEIGHT_M
+                    && p.z < bottom + 0.25 * (top - bottom)
+                    && let Some(cell) = self.cell(p)
+                {
+                    feet[cell] = feet[cell].min((p.z - self.origin.z) as f32);
+                }
+            }
+        }
+        feet
+    }
+
+    /// Lifts small groups of cells that lie far below everything around them.
+    fn fill_pits(&self, mut low: Vec<f32>) -> Vec<f32> {
+        let (nx, ny) = (self.nx, self.ny);
+        let negated = |v: &[f32]| -> Vec<f32> { v.iter().map(|z| if z.is_finite() { -z } else { *z }).collect() };
+        let highest = extreme(&negated(&low), nx, ny, 2, f32::min);
+        let closed = extreme(&negated(&highest), nx, ny, 2, f32::min);
+        let is_pit = |z: f32, cell: usize| z.is_finite() && closed[cell] - z > PIT_DEPTH_M;
+        let limit = ((PIT_AREA_M2 / (self.cell_m * self.cell_m)) as usize).max(1);
+        let mut seen = vec![false; low.len()];
+        let mut group = Vec::new();
+        for start in 0..low.len() {
+            if seen[start] || !is_pit(low[start], start) {
+                continue;
+            }
+            group.clear();
+            group.push(start);
+            seen[start] = true;
+            let mut next = 0;
+            while next < group.len() {
+                let (i, j) = (group[next] % nx, group[next] / nx);
+                next += 1;
+                for (x, y) in neighbourhood(i, j, nx, ny) {
+                    let cell = y * nx + x;
+                    if !seen[cell] && is_pit(low[cell], cell) {
+                        seen[cell] = true;
+                        group.push(cell);
+                    }
+                }
+            }
+            if group.len() <= limit {
+                group.iter().for_each(|&cell| low[cell] = closed[cell]);
+            }
+        }
+        low
+    }
+
+    /// Progressive opening: the surface with everything that a step cuts off by more than `allowed` replaced by
+    /// interpolation.
+    fn without_objects(&self, surface: &[f32], allowed: &[f32], widest: usize) -> Vec<f32> {
+        let (nx, ny) = (self.nx, self.ny);
+        let mut is_object: Vec<bool> = self.lowest.iter().map(|z| !z.is_finite()).collect();
+        let mut opened = surface.to_vec();
+        let mut eroded = surface.to_vec();
+        for half in 1..=widest {
+            // Eroding by one cell more each time is the same as eroding by a growing window.
+            eroded = extreme(&eroded, nx, ny, 1, f32::min);
+            let next = extreme(&eroded, nx, ny, half, f32::max);
+            for cell in 0..next.len() {
+                is_object[cell] |= opened[cell] - next[cell] > allowed[cell];
+            }
+            opened = next;
+        }
+        let kept = surface.iter().zip(&is_object).map(|(z, cut)| if *cut { f32::INFINITY } else { *z });
+        fill(kept.collect(), nx, ny)
+    }
+
+    /// Steepest slope of the smoothed ground within about ten metres, metres per metre.
+    fn slope(&self, height: &[f32]) -> Vec<f32> {
+        let (nx, ny) = (self.nx, self.ny);
+        let reach = ((4.0 / self.cell_m).round() as usize).max(1);
+        let smooth = mean(height, nx, ny, reach);
+        let (gx, gy) = gradient(&smooth, nx, ny);
+        let slope: Vec<f32> = gx.iter().zip(&gy).map(|(x, y)| x.hypot(*y) / self.cell_m as f32).collect();
+        extreme(&slope, nx, ny, reach, f32::max)
+    }
+
+    /// The lowest point of a sloping cell lies on its rim; moves every height to what it is at the centre.
+    fn recentred(&self, height: &[f32]) -> Vec<f32> {
+        let (gx, gy) = gradient(height, self.nx, self.ny);
+        let limit = STEEPEST * self.cell_m as f32;
+        height.iter().zip(gx.iter().zip(&gy)).map(|(z, (x, y))| z + 0.5 * (x.min(limit) + y.min(limit))).collect()
+    }
+}
+
+/// Height differences per cell along x and y: the gentler of both sides', zero at the bottom of a valley.
+fn gradient(z: &[f32], nx: usize, ny: usize) -> (Vec<f32>, Vec<f32>) {
+    let gentler = |a: f32, b: f32| {
+        let is_valley = a < 0.0 && b > 0.0;
+        if is_valley { 0.0 } else { a.abs().min(b.abs()) }
+    };
+    let one = |cell: usize, at: usize, n: usize, step: usize| {
+        let before = if at > 0 { Some(z[cell] - z[cell - step]) } else { None };
+        let after = if at + 1 < n { Some(z[cell + step] - z[cell]) } else { None };
+        match (before, after) {
+            (Some(a), Some(b)) => gentler(a, b),
+            (a, b) => a.or(b).unwrap_or(0.0).abs(),
+        }
+    };
+    let all = |of: &(dyn Fn(usize) -> f32 + Sync)| (0..z.len()).into_par_iter().with_min_len(4096).map(of).collect();
+    (all(&|cell| one(cell, cell % nx, nx, 1)), all(&|cell| one(cell, cell / nx, ny, nx)))
+}
+
+fn neighbourhood(i: usize, j: usize, nx: usize, ny: usize) -> impl Iterator<Item = (usize, usize)> {
+    let (xs, ys) = (i.saturating_sub(1)..(i + 2).min(nx), j.saturating_sub(1)..(j + 2).min(ny));
+    ys.flat_map(move |y| xs.clone().map(move |x| (x, y)))
+}
+
+/// Minimum or maximum over windows of (2 half + 1)² cells, cut off at the grid's rim. Infinite cells take part.
+fn extreme(z: &[f32], nx: usize, ny: usize, half: usize, pick: fn(f32, f32) -> f32) -> Vec<f32> {
+    let along_rows = |z: &[f32], nx: usize| -> Vec<f32> {
+        let mut out = vec![0.0; z.len()];
+        out.par_chunks_mut(nx).zip(z.par_chunks(nx)).for_each(|(out, row)| slide(row, out, half, pick));
+        out
+    };
+    let turned = transposed(&along_rows(z, nx), nx, ny);
+    transposed(&along_rows(&turned, ny), ny, nx)
+}
+
+/// Van Herk's running extreme: three picks a cell whatever the window.
+fn slide(row: &[f32], out: &mut [f32], half: usize, pick: fn(f32, f32) -> f32) {
+    let (n, window) = (row.len(), 2 * half + 1);
+    if window <= 7 || n <= window {
+        for (i, out) in out.iter_mut().enumerate() {
+            let around = &row[i.saturating_sub(half)..(i + half + 1).min(n)];
+            *out = around.iter().copied().reduce(pick).unwrap_or(row[i]);
+        }
+        return;
+    }
+    // `ahead[i]`: extreme from the start of i's block to i; `back[i]`: from i to the end of its block.
+    let (mut ahead, mut back) = (row.to_vec(), row.to_vec());
+    for i in 1..n {
+        if i % window != 0 {
+            ahead[i] = pick(ahead[i - 1], row[i]);
+        }
+    }
+    for i in (0..n - 1).rev() {
+        if (i + 1) % window != 0 {
+            back[i] = pick(back[i + 1], row[i]);
+        }
+    }
+    for (i, out) in out.iter_mut().enumerate() {
+        let (first, last) = (i.saturating_sub(half), (i + half).min(n - 1));
+        // A window cut off at the rim may lie inside one block; there the prefix (or suffix) alone is right.
+        *out = if i < half {
+            ahead[last]
+        } else if last / window == first / window {
+            if last == n - 1 { back[first] } else { ahead[last] }
+        } else {
+            pick(back[first], ahead[last])
+        };
+    }
+}
+
+fn transposed(z: &[f32], nx: usize, ny: usize) -> Vec<f32> {
+    let mut out = vec![0.0; z.len()];
+    out.par_chunks_mut(ny).enumerate().for_each(|(i, column)| {
+        column.iter_mut().enumerate().for_each(|(j, out)| *out = z[j * nx + i]);
+    });
+    out
+}
+
+/// Mean over windows of (2 half + 1)² cells, cut off at the rim.
+fn mean(z: &[f32], nx: usize, ny: usize, half: usize) -> Vec<f32> {
+    let along_rows = |z: &[f32], nx: usize| -> Vec<f32> {
+        let mut out = vec![0.0; z.len()];
+        out.par_chunks_mut(nx).zip(z.par_chunks(nx)).for_each(|(out, row)| {
+            for (i, out) in out.iter_mut().enumerate() {
+                let around = &row[i.saturating_sub(half)..(i + half + 1).min(row.len())];
+                *out = around.iter().sum::<f32>() / around.len() as f32;
+            }
+        });
+        out
+    };
+    let turned = transposed(&along_rows(z, nx), nx, ny);
+    transposed(&along_rows(&turned, ny), ny, nx)
+}
+
+/// Interpolates infinite cells: averages go up a pyramid, come down bilinearly and are relaxed towards a membrane.
+fn fill(z: Vec<f32>, nx: usize, ny: usize) -> Vec<f32> {
+    if z.iter().all(|v| v.is_finite()) {
+        return z;
+    }
+    if nx * ny == 1 {
+        return vec![0.0];
+    }
+    let (cx, cy) = (nx.div_ceil(2), ny.div_ceil(2));
+    let mut coarse = vec![f32::INFINITY; cx * cy];
+    for (cell, out) in coarse.iter_mut().enumerate() {
+        let (i, j) = (2 * (cell % cx), 2 * (cell / cx));
+        let four = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)];
+        let known = four.iter().filter(|(x, y)| *x < nx && *y < ny).map(|(x, y)| z[y * nx + x]);
+        let (sum, n) = known.filter(|v| v.is_finite()).fold((0.0, 0), |(s, n), v| (s + v, n + 1));
+        if n > 0 {
+            *out = sum / n as f32;
+        }
+    }
+    let coarse = fill(coarse, cx, cy);
+    let holes: Vec<usize> = (0..z.len()).filter(|&cell| !z[cell].is_finite()).collect();
+    let mut out = z;
+    for &cell in &holes {
+        let at = |p: usize, n: usize| {
+            let q = (p as f32 - 0.5) / 2.0;
+            let q = q.clamp(0.0, (n - 1) as f32);
+            (q as usize, (q as usize + 1).min(n - 1), q.fract())
+        };
+        let ((i, k, u), (j, l, v)) = (at(cell % nx, cx), at(cell / nx, cy));
+        let lower = coarse[j * cx + i] * (1.0 - u) + coarse[j * cx + k] * u;
+        let upper = coarse[l * cx + i] * (1.0 - u) + coarse[l * cx + k] * u;
+        out[cell] = lower * (1.0 - v) + upper * v;
+    }
+    // Gauss-Seidel in cell order: deterministic, and the pyramid leaves only short waves to smooth.
+    for _ in 0..12 {
+        for &cell in &holes {
+            let (i, j) = (cell % nx, cell / nx);
+            let left = out[if i > 0 { cell - 1 } else { cell }];
+            let right = out[if i + 1 < nx { cell + 1 } else { cell }];
+            let below = out[if j > 0 { cell - nx } else { cell }];
+            let above = out[if j + 1 < ny { cell + nx } else { cell }];
+            out[cell] = 0.25 * (left + right + below + above);
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_running_minimum_agrees_with_the_plain_one() {
+        let row: Vec<f32> = (0..53).map(|i| ((i * 37) % 23) as f32).collect();
+        for half in [1, 3, 4, 7, 11, 25, 26, 40] {
+            let mut out = vec![0.0; row.len()];
+            slide(&row, &mut out, half, f32::min);
+            for i in 0..row.len() {
+                let around = &row[i.saturating_sub(half)..(i + half + 1).min(row.len())];
+                assert_eq!(out[i], around.iter().copied().fold(f32::INFINITY, f32::min), "half {half}, place {i}");
+            }
+        }
+    }
+
+    #[test]
+    fn holes_in_a_ramp_are_filled_with_the_ramp() {
+        let (nx, ny) = (40, 30);
+        let ramp: Vec<f32> = (0..nx * ny).map(|c| 0.5 * (c % nx) as f32).collect();
+        let inside = |c: usize| (10..25).contains(&(c % nx)) && (8..20).contains(&(c / nx));
+        let holed = (0..nx * ny).map(|c| if inside(c) { f32::INFINITY } else { ramp[c] }).collect();
+        let filled = fill(holed, nx, ny);
+        let worst = filled.iter().zip(&ramp).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(worst < 0.5, "{worst}");
+    }
+
+    /// A raster surface as a mesh of one-metre squares, and its ground.
+    fn ground_of(n: usize, height: impl Fn(f64, f64) -> f64) -> (Mesh, Ground) {
+        let mut mesh = Mesh::default();
+        for j in 0..=n {
+            for i in 0..=n {
+                let (x, y) = (i as f64, j as f64);
+                mesh.positions.push(DVec3::new(x, y, height(x, y)));
+            }
+        }
+        for j in 0..n {
+            for i in 0..n {
+                let a = (j * (n + 1) + i) as u32;
+                let up = n as u32 + 1;
+                mesh.faces.extend([[a, a + 1, a + up + 1], [a, a + up + 1, a + up]]);
+            }
+        }
+        let planes = crate::planes::grow(&mesh, &crate::planes::PlanesConfig::default());
+        let ground = Ground::of(&mesh, &planes, &ClassesConfig::default());
+        (mesh, ground)
+    }
+
+    fn in_square(x: f64, y: f64, low: f64, high: f64) -> bool {
+        (low..=high).contains(&x) && (low..=high).contains(&y)
+    }
+
+    #[test]
+    fn a_wide_flat_building_stands_on_the_ground_and_a_pit_below_it_is_noise() {
+        let height = |x: f64, y: f64| if in_square(x, y, 30.0, 84.0) { 12.0 } else { 0.0 };
+        let pit = |x: f64, y: f64| if in_square(x, y, 10.0, 11.0) { -15.0 } else { 0.0 };
+        let (_, ground) = ground_of(120, |x, y| height(x, y) + pit(x, y));
+        assert!((ground.height_above(DVec3::new(57.0, 57.0, 12.0)) - 12.0).abs() < 0.3);
+        assert!(ground.height_above(DVec3::new(14.5, 14.5, 0.0)).abs() < 0.5);
+    }
+
+    #[test]
+    fn a_slope_of_forty_degrees_with_a_ridge_is_all_ground() {
+        let slope = 40f64.to_radians().tan();
+        let (mesh, ground) = ground_of(100, |x, _| slope * (50.0 - (x - 50.0).abs()));
+        let worst = mesh.positions.iter().map(|p| ground.height_above(*p)).fold(0.0f32, f32::max);
+        assert!(worst < 0.9, "{worst}");
+    }
+
+    #[test]
+    fn a_terrace_of_twenty_metres_is_ground_on_both_levels() {
+        let (mesh, ground) = ground_of(100, |x, _| if x < 50.0 { 0.0 } else { 20.0 });
+        let flat = |p: &&DVec3| !(48.0..=52.0).contains(&p.x);
+        let worst = mesh.positions.iter().filter(flat).map(|p| ground.height_above(*p).abs()).fold(0.0f32, f32::max);
+        assert!(worst < 0.5, "{worst}");
+        // The edge itself is not in the air.
+        assert!(ground.height_above(DVec3::new(50.0, 50.0, 20.0)) < 0.9);
+    }
+}

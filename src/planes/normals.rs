@@ -1,0 +1,140 @@
+//! Edge-preserving surface normals: what the surface does at the scale of walls, not of noise.
+
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::PlanesConfig;
+use crate::mesh::Mesh;
+use crate::mesh::topology::{self, NONE};
+
+/// Faces a task takes at once: large enough to hide the cost of scheduling.
+const CHUNK: usize = 4096;
+
+/// What region growing wants to know of each face.
+pub struct Surface {
+    /// Face behind each edge.
+    pub neighbours: Vec<[u32; 3]>,
+    /// Filtered unit normals of faces; zero for faces without area.
+    pub normals: Vec<Vec3>,
+    /// Areas, m².
+    pub areas: Vec<f32>,
+    /// How far the filtered surface is from flat at each face: 0 flat, about 1 at creases and in trees.
+    pub bend: Vec<f32>,
+    /// Median edge length, metres.
+    pub median_edge_m: f64,
+    /// Typical distance of a face's neighbours from its plane, metres: the noise at the scale of one edge.
+    pub noise_m: f64,
+}
+
+/// Measures and filters. Each sweep moves a normal towards its edge neighbours' mean, weighted by area,
+/// closeness (none beyond the radius) and agreement (none across right angles).
+pub fn surface(mesh: &Mesh, config: &PlanesConfig) -> Surface {
+    let neighbours = topology::face_neighbours(mesh);
+    let median_edge_m = median_edge(mesh);
+    let origin = mesh.positions.first().copied().unwrap_or(DVec3::ZERO);
+    let centroids: Vec<Vec3> = per_face(mesh, |f| {
+        let [a, b, c] = mesh.corners(f);
+        ((a - origin + (b - origin) + (c - origin)) / 3.0).as_vec3()
+    });
+    let raw: Vec<Vec3> = per_face(mesh, |f| (0.5 * mesh.cross(f)).as_vec3());
+    let areas: Vec<f32> = per_face(mesh, |f| raw[f].length());
+    let mut normals: Vec<Vec3> = per_face(mesh, |f| raw[f].normalize_or_zero());
+    drop(raw);
+
+    let per_radius = 1.0 / (config.smoothing_radius_m * config.smoothing_radius_m).max(1e-12) as f32;
+    // The reach of diffusion grows with the root of the sweeps; ten are where more stops to pay.
+    let sweeps = (config.smoothing_radius_m / median_edge_m.max(1e-6)).ceil().clamp(1.0, 10.0) as usize;
+    for _ in 0..sweeps {
+        normals = per_face(mesh, |f| {
+            let (normal, centre) = (normals[f], centroids[f]);
+            let mut sum = normal * areas[f];
+            for &g in neighbours[f].iter().filter(|&&g| g != NONE) {
+                let g = g as usize;
+                let close = (1.0 - centroids[g].distance_squared(centre) * per_radius).max(0.0);
+                let agree = normals[g].dot(normal).max(0.0);
+                sum += normals[g] * (areas[g] * close * agree * agree * agree);
+            }
+            sum.normalize_or_zero()
+        });
+    }
+    let seen = |f: usize, of: &dyn Fn(usize) -> f32| {
+        let around = neighbours[f].iter().filter(|&&g| g != NONE);
+        around.map(|&g| of(g as usize)).fold((0.0f32, 0u32), |(sum, n), value| (sum + value, n + 1))
+    };
+    let bend = per_face(mesh, |f| {
+        let (sum, n) = seen(f, &|g| 1.0 - normals[g].dot(normals[f]));
+        if n == 0 { 1.0 } else { sum / n as f32 }
+    });
+    let mut offsets = per_face(mesh, |f| {
+        let (sum, n) = seen(f, &|g| (centroids[g] - centroids[f]).dot(normals[f]).abs());
+        if n == 0 { 0.0 } else { sum / n as f32 }
+    });
+    let noise_m = f64::from(median(&mut offsets));
+    Surface { neighbours, normals, areas, bend, median_edge_m, noise_m }
+}
+
+/// Vertex normals: the area-weighted mean of the filtered normals around.
+pub fn of_vertices(mesh: &Mesh, surface: &Surface) -> Vec<Vec3> {
+    let around = topology::vertex_faces(mesh);
+    let normal = |v: usize| {
+        let faces = around.of_vertex(v).iter().map(|&f| f as usize);
+        faces.map(|f| surface.normals[f] * surface.areas[f]).sum::<Vec3>().normalize_or(Vec3::Z)
+    };
+    (0..mesh.positions.len()).into_par_iter().with_min_len(CHUNK).map(normal).collect()
+}
+
+fn per_face<T: Send>(mesh: &Mesh, of: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
+    (0..mesh.faces.len()).into_par_iter().with_min_len(CHUNK).map(of).collect()
+}
+
+/// Median over at most some hundred thousand edges, evenly taken; 1 for a mesh without faces.
+fn median_edge(mesh: &Mesh) -> f64 {
+    let stride = mesh.faces.len() / 100_000 + 1;
+    let lengths = mesh.faces.iter().step_by(stride).flat_map(|&[a, b, c]| {
+        [(a, b), (b, c), (c, a)].map(|(p, q)| mesh.positions[p as usize].distance(mesh.positions[q as usize]) as f32)
+    });
+    let mut lengths: Vec<f32> = lengths.collect();
+    if lengths.is_empty() { 1.0 } else { f64::from(median(&mut lengths)) }
+}
+
+fn median(values: &mut [f32]) -> f32 {
+    if values.is_empty() {
+        return 0.0;
+    }
+    let middle = values.len() / 2;
+    *values.select_nth_unstable_by(middle, f32::total_cmp).1
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn normals_of_a_rough_plane_point_up_and_a_right_angle_stays_sharp() {
+        // A strip of squares along x: floor until x = 10, then a wall going up; the floor is rough.
+        let mut mesh = Mesh::default();
+        for i in 0..=20 {
+            for y in 0..=4 {
+                let (x, z) = if i <= 10 { (f64::from(i), 0.0) } else { (10.0, f64::from(i - 10)) };
+                let bump = 0.2 * f64::from((i * 7 + y * 3) % 3 - 1);
+                let p = DVec3::new(x, f64::from(y), z) + if i < 10 { DVec3::Z * bump } else { DVec3::ZERO };
+                mesh.positions.push(p * 0.2);
+            }
+        }
+        for i in 0..20 {
+            for y in 0..4 {
+                let a = i * 5 + y;
+                mesh.faces.extend([[a, a + 5, a + 6], [a, a + 6, a + 1]]);
+            }
+        }
+        let surface = surface(&mesh, &PlanesConfig::default());
+        assert!(mesh.cross(3).normalize().z < 0.99, "the raw floor must be rough for this test to mean something");
+        let worst = |faces: std::ops::Range<usize>, want: Vec3| {
+            faces.map(|f| surface.normals[f].dot(want)).fold(1.0f32, f32::min)
+        };
+        assert!(worst(16..64, Vec3::Z) > 0.97, "{}", worst(16..64, Vec3::Z));
+        assert!(worst(80..160, -Vec3::X) > 0.97, "{}", worst(80..160, -Vec3::X));
+        let vertex_normals = of_vertices(&mesh, &surface);
+        assert!(vertex_normals[5 * 5 + 2].z > 0.97);
+    }
+}

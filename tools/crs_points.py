@@ -38,6 +38,10 @@ SYSTEMS = [
     (3879, "Finland GK25, zone in the easting", 24.94, 60.17, 1.0),
     (2193, "New Zealand TM", 174.76, -36.85, 1.0),
     (5514, "Krovak East North", 14.42, 50.08, 1.0),
+    (3844, "Romania Stereo70", 26.1, 44.43, 1.0),
+    (2039, "Israel 1993", 34.78, 32.08, 1.0),
+    (6991, "Israeli Grid 05/12", 34.78, 32.08, 1.0),
+    (5683, "German railways, zone 3", 8.68, 50.11, 1.0),
     (2048, "South African Lo19, westing and southing", 18.9, -33.9, 1.0),
     (3857, "Web Mercator, scale 1.6", 11.58, 48.14, 1.0),
 ]

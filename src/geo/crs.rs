@@ -12,8 +12,10 @@
 //! - Heights are in the vertical system's unit, else in the projection's linear unit, else in metres.
 //!
 //! # Limits
-//! Where only a grid shift is published (NAD27) or none at all, positions as a whole are off by metres to hundreds of
-//! metres; [`Crs::datum_doubt`] says so. Relations between points hold to millimetres.
+//! Shifts to WGS 84 are Helmert's, mostly from crs-definitions: good to 1 to 5 m for most systems in use, a mean over a
+//! continent for some old ones. Where only a grid shift is published (NAD27) or none at all, positions as a whole are
+//! off by metres to hundreds of metres; [`Crs::datum_doubt`] says so. A wrong shift also stretches and turns by some
+//! 10 ppm, 1 cm over a kilometre.
 
 use std::fmt;
 use std::sync::Arc;
@@ -43,6 +45,21 @@ const VERTICAL_UNITS_M: [(u32, f64); 9] = [
     (8050, FOOT_M),
     (8052, US_FOOT_M),
     (8228, FOOT_M),
+];
+
+/// Shifts that crs-definitions 0.6 lacks or has with a wrong sign, found by comparing it with PROJ 9.5 datum by datum;
+/// proj's position-vector convention, metres, arc seconds and parts per million.
+const MENDED_SHIFTS: [(&[u32], &str); 5] = [
+    // S-JTSK (EPSG:5239): the three parameters there are 10 m off and ignore a turn of 36 ppm.
+    (&[2065, 4156, 4818, 5221, 5513, 5514], "572.213,85.334,461.94,4.9732,1.529,5.2484,3.5378"),
+    // Stereo70 of Romania: the rotations there are turned the wrong way, 38 m.
+    (&[3844], "2.329,-147.042,-92.08,-0.309,0.325,0.497,5.69"),
+    // Israel 1993 and Israeli Grid 05/12: 10 m, and 78 m without any shift.
+    (&[2039, 4141, 6990, 6991], "23.772,17.49,17.859,-0.3132,-1.85274,1.67299,-5.4262"),
+    // German railways' DB_REF: no shift there, 217 m.
+    (&[5681, 5682, 5683, 5684, 5685], "584.9636,107.7175,413.8067,1.1155,0.2824,-3.1384,7.9922"),
+    // Fatu Iva 72: wrong way round, 4.7 km.
+    (&[3303, 4688], "347.175,1077.618,2623.677,33.9058,-70.6776,9.4013,186.0647"),
 ];
 
 /// Parameters that define a projection and are passed on.
@@ -82,6 +99,7 @@ pub struct Crs {
 struct Engine {
     system: Proj,
     wgs84: Proj,
+    towgs84: Option<String>,
     datum_doubt: Option<&'static str>,
 }
 
@@ -166,16 +184,14 @@ impl Crs {
             ))
         };
         let definition = u16::try_from(code).ok().and_then(crs_definitions::from_code).ok_or_else(unknown)?;
-        if definition.proj4.is_empty() {
-            return Err(unknown());
-        }
+        let proj = proj_of(code).filter(|proj| !proj.is_empty()).ok_or_else(unknown)?;
         let own_vertical = wkt::vertical_of(definition.wkt);
         if let (Some(_), Some(other)) = (&own_vertical, vertical) {
             return Err(Error::Config(format!(
                 "EPSG:{code}+{other}: EPSG:{code} already holds a vertical system; give EPSG:{code} alone"
             )));
         }
-        let mut crs = Self::build(definition.proj4, format!("EPSG:{code}"), Some(code))?;
+        let mut crs = Self::build(&proj, format!("EPSG:{code}"), Some(code))?;
         if let Some(own) = own_vertical {
             crs.vertical = own.name;
         } else if let Some(vertical) = vertical {
@@ -212,7 +228,7 @@ impl Crs {
             (_, true) => Kind::Geocentric,
             _ => Kind::Projected,
         };
-        if kind == Kind::Geocentric && (parts.shifted || parts.doubt.is_some()) {
+        if kind == Kind::Geocentric && (parts.towgs84.is_some() || parts.doubt.is_some()) {
             return Err(refuse("only WGS 84 and its kin are read as Earth-centred; use EPSG:4978".into()));
         }
         let unit_m = if kind == Kind::Projected { system.to_meter() } else { 1.0 };
@@ -227,7 +243,7 @@ impl Crs {
             kind,
             unit_m,
             height_unit_m,
-            engine: Arc::new(Engine { system, wgs84, datum_doubt: parts.doubt }),
+            engine: Arc::new(Engine { system, wgs84, towgs84: parts.towgs84, datum_doubt: parts.doubt }),
         })
     }
 
@@ -285,6 +301,11 @@ impl Crs {
     /// Metres in one unit of height.
     pub fn height_unit_m(&self) -> f64 {
         self.height_unit_m
+    }
+
+    /// The shift to WGS 84 that is applied, as proj writes it; none for WGS 84's kin and for proj's named datums.
+    pub fn towgs84(&self) -> Option<&str> {
+        self.engine.towgs84.as_deref()
     }
 
     /// Why the shift to WGS 84 is not to be trusted, if so.
@@ -360,7 +381,8 @@ struct Parts {
     /// What proj4rs gets.
     kept: String,
     height_unit_m: Option<f64>,
-    shifted: bool,
+    /// Null shifts left out.
+    towgs84: Option<String>,
     doubt: Option<&'static str>,
 }
 
@@ -409,8 +431,9 @@ impl Parts {
                 doubt = Some("no shift from its datum to WGS 84 is known; positions may be hundreds of metres off");
             }
         }
-        let shift = tokens.iter().find(|(key, _)| *key == "towgs84").map_or("", |(_, value)| *value);
-        let shifted = shift.split(',').any(|part| !matches!(part.trim().parse(), Ok(0.0)) && !part.is_empty());
+        let is_null = |shift: &str| shift.split(',').all(|part| part.trim().parse() == Ok(0.0));
+        let shift = tokens.iter().find(|(key, _)| *key == "towgs84").map(|(_, value)| *value);
+        let towgs84 = shift.filter(|shift| !is_null(shift)).map(str::to_owned);
         let mut kept: Vec<String> = tokens
             .iter()
             .map(|(key, value)| if value.is_empty() { format!("+{key}") } else { format!("+{key}={value}") })
@@ -418,7 +441,7 @@ impl Parts {
         if null_grid {
             kept.push("+nadgrids=@null".into());
         }
-        Ok(Self { kept: kept.join(" "), height_unit_m, shifted, doubt })
+        Ok(Self { kept: kept.join(" "), height_unit_m, towgs84, doubt })
     }
 }
 
@@ -429,6 +452,16 @@ fn unit_m(name: &str) -> Result<f64, String> {
         "us-ft" => Ok(US_FOOT_M),
         _ => Err(format!("vertical unit '{}' is not understood; wanted m, ft or us-ft", shortened(name))),
     }
+}
+
+/// The proj definition of an EPSG code, mended where needed; empty for systems proj cannot express.
+pub(super) fn proj_of(code: u32) -> Option<String> {
+    let definition = crs_definitions::from_code(u16::try_from(code).ok()?)?.proj4;
+    let Some((_, shift)) = MENDED_SHIFTS.iter().find(|(codes, _)| codes.contains(&code)) else {
+        return Some(definition.to_owned());
+    };
+    let others = definition.split_whitespace().filter(|token| !token.starts_with("+towgs84="));
+    Some(others.chain([format!("+towgs84={shift}").as_str()]).collect::<Vec<_>>().join(" "))
 }
 
 /// ODM's `WGS84 UTM 32N`.

@@ -8,7 +8,7 @@
 //! # Limits
 //! Without a code: Transverse Mercator, Lambert conformal conic, Mercator and geographic systems only.
 
-use super::crs::{Crs, shortened};
+use super::crs::{Crs, proj_of, shortened};
 use crate::{Error, Result};
 
 /// A WKT longer than this is no coordinate system, bytes. The longest of EPSG's is 7 kB.
@@ -205,9 +205,8 @@ impl Node {
             let numbers: Vec<String> =
                 (0..shift.arguments.len()).filter_map(|i| shift.number(i)).map(|n| n.to_string()).collect();
             proj += &format!(" +towgs84={}", numbers.join(","));
-        } else if let Some(known) = self.epsg().and_then(|code| u16::try_from(code).ok()) {
+        } else if let Some(definition) = self.epsg().and_then(proj_of) {
             // The geographic system has a code even where the projected one has none.
-            let definition = crs_definitions::from_code(known).map_or("", |definition| definition.proj4);
             let same = |token: &&str| token.starts_with("+towgs84=") || token.starts_with("+datum=");
             if let Some(token) = definition.split_whitespace().find(same) {
                 proj += &format!(" {token}");

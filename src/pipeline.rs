@@ -1,1 +1,454 @@
-//! (to come)
+//! A build from input to output, one line a stage.
+
+use std::path::{Path, PathBuf};
+
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::Serialize;
+use serde_json::json;
+
+use crate::classes::{self, Classes};
+use crate::config::Config;
+use crate::geo::{Aabb, Frame, FrameSummary, Georeference};
+use crate::ids::ClassScheme;
+use crate::input::Source;
+use crate::mesh::{self, GateReport, Mesh};
+use crate::planes;
+use crate::report::{Reporter, StageTime, Warning};
+use crate::texture::{Images, Surface};
+use crate::tiles::content::{ClassDeviation, Maker, texels_of};
+use crate::tiles::levels::Tile;
+use crate::tiles::{Partition, TileTree};
+use crate::write::tileset::bytes as tileset_bytes;
+use crate::write::{self, About, ClassError, GENERATOR, GlbOptions, Output, TileEntry};
+use crate::{Error, Result};
+
+/// What to build, and where to.
+pub struct Job<'a> {
+    /// The output folder.
+    pub out: &'a Path,
+    /// Replace an existing output.
+    pub force: bool,
+    /// All settings.
+    pub config: &'a Config,
+    /// Where the source's coordinates are.
+    pub georeference: Georeference,
+    /// Name and BLAKE3 of each input, for build.json.
+    pub inputs: Vec<InputDigest>,
+}
+
+/// An input file as it was read.
+#[derive(Debug, Clone, Serialize)]
+pub struct InputDigest {
+    /// File name, without its folder: outputs do not depend on where inputs lie.
+    pub name: String,
+    /// Size in bytes.
+    pub bytes: u64,
+    /// BLAKE3, hexadecimal.
+    pub blake3: String,
+}
+
+/// What a build did.
+#[derive(Debug, Serialize)]
+pub struct BuildReport {
+    /// The output folder.
+    pub out: PathBuf,
+    /// The frame.
+    pub frame: FrameSummary,
+    /// The gate.
+    pub gate: GateReport,
+    /// Triangles per class of the source, in scheme order, and their area in m².
+    pub classes: Vec<ClassShare>,
+    /// From the root down.
+    pub levels: Vec<LevelRow>,
+    /// Tiles.
+    pub tiles: usize,
+    /// Bytes of all tiles.
+    pub bytes: u64,
+    /// Counted warnings.
+    pub warnings: Vec<Warning>,
+    /// Wall time by stage; not part of the output, which is the same for every run.
+    pub stages: Vec<StageTime>,
+}
+
+/// How much of the source is of a class.
+#[derive(Debug, Clone, Serialize)]
+pub struct ClassShare {
+    /// Name in the scheme.
+    pub class: String,
+    /// Triangles.
+    pub triangles: usize,
+    /// Area, m².
+    pub area_m2: f64,
+}
+
+/// One level of the hierarchy.
+#[derive(Debug, Clone, Serialize)]
+pub struct LevelRow {
+    /// 0 is the root.
+    pub level: u32,
+    /// Tiles of this level.
+    pub tiles: usize,
+    /// Of them, leaves.
+    pub leaves: usize,
+    /// Triangles.
+    pub triangles: u64,
+    /// Bytes.
+    pub bytes: u64,
+    /// Largest `geometricError`, metres.
+    pub geometric_error_m: f64,
+    /// Largest certified error of the geometry, metres.
+    pub geometry_m: f64,
+    /// Largest texel, metres.
+    pub texel_m: f64,
+    /// The worst of each class over the level's tiles, metres.
+    pub classes: Vec<ClassRow>,
+}
+
+/// One class at one level.
+#[derive(Debug, Clone, Serialize)]
+pub struct ClassRow {
+    /// Name in the scheme.
+    pub class: String,
+    /// Largest certified two-sided bound, metres.
+    pub bound_m: f64,
+    /// Largest mean, metres.
+    pub mean_m: f64,
+    /// Largest 95th percentile, metres.
+    pub p95_m: f64,
+}
+
+/// Builds a tileset; see the crate's own picture of the stages.
+///
+/// # Errors
+/// An output that exists or is busy, a source without surface or outside its coordinate system, the disk, or a wish to
+/// stop. Nothing is left behind then.
+pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildReport> {
+    let config = job.config;
+    let output = Output::begin(job.out, job.force)?;
+    let images = source.images.clone();
+    let copyright = credits(&source, &config.write.copyright);
+
+    let (source, frame) = place(source, &job.georeference, reporter)?;
+    let (mesh, gate) = weld(source, config, reporter)?;
+    let mut images = Images::new(images, reporter);
+    images.cover(&Surface::from(&mesh));
+    let (classes, median_edge_m) = classify(&mesh, config, reporter)?;
+    let shares = shares(&mesh, &classes);
+    let (partition, classes) = cut(mesh, classes, &images, config, reporter)?;
+    let tree = simplify(&partition, &classes, median_edge_m, config, reporter)?;
+
+    let maker = Maker {
+        partition: &partition,
+        classes: &classes,
+        images: &images,
+        texture: &config.texture,
+        texel_factor: config.write.texel_factor,
+        copyright: copyright.as_deref(),
+        normals: config.write.normals,
+    };
+    let written = write_tiles(&tree, &maker, config, &output, reporter)?;
+    let root = entry(&tree, tree.tiles.len() - 1, &written, &config.classes, config.write.texel_factor);
+    let levels = level_rows(&root, &config.classes);
+    let about = About {
+        ecef_from_local: frame.ecef_from_local(),
+        scheme: &config.classes,
+        copyright: copyright.as_deref(),
+        texel_factor: config.write.texel_factor,
+    };
+    let frame = frame.describe();
+    output.write("build.json", &build_json(job, &frame, &gate, &shares, &levels, reporter))?;
+    output.write("tileset.json", &tileset_bytes(&write::tileset(&root, &about)))?;
+    reporter.check()?;
+    output.commit()?;
+    Ok(BuildReport {
+        out: job.out.to_path_buf(),
+        frame,
+        gate,
+        classes: shares,
+        tiles: tree.tiles.len(),
+        bytes: levels.iter().map(|l| l.bytes).sum(),
+        levels,
+        warnings: reporter.warnings(),
+        stages: reporter.stages(),
+    })
+}
+
+/// Takes positions from source coordinates to the local frame.
+fn place(mut source: Source, georeference: &Georeference, reporter: &Reporter) -> Result<(Source, Frame)> {
+    let stage = reporter.stage("frame", 0);
+    let all = source.parts.iter().flat_map(|p| &p.positions).copied().filter(|p| p.is_finite());
+    let bounds = Aabb::of(all);
+    let path = source.parts.first().map(|p| p.path.clone()).unwrap_or_default();
+    if bounds.is_empty() {
+        return Err(Error::input(path, "no vertex has finite coordinates; nothing to build"));
+    }
+    let anchor = bounds.center().with_z(bounds.min.z).round();
+    let frame = Frame::of(georeference.clone(), anchor)?;
+    frame.warn(reporter, &path);
+    for part in &mut source.parts {
+        frame.locals_from_sources(&part.path, &mut part.positions)?;
+    }
+    let size = bounds.size();
+    stage.finish(format!("{:.0} × {:.0} × {:.0} units, {}", size.x, size.y, size.z, frame.describe()));
+    Ok((source, frame))
+}
+
+fn weld(source: Source, config: &Config, reporter: &Reporter) -> Result<(Mesh, GateReport)> {
+    let stage = reporter.stage("mesh", 0);
+    let (mesh, gate) = mesh::gate(source, &config.gate, reporter)?;
+    let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite } = gate;
+    stage.finish(format!(
+        "{vertices_in} → {vertices} vertices, {faces_in} → {faces} triangles ({degenerate} degenerate, {duplicate} duplicate, {not_finite} not finite)"
+    ));
+    Ok((mesh, gate))
+}
+
+fn classify(mesh: &Mesh, config: &Config, reporter: &Reporter) -> Result<(Classes, f64)> {
+    let stage = reporter.stage("planes", 0);
+    let planes = planes::grow(mesh, &config.planes);
+    stage.finish(format!("{} regions, median edge {:.3} m", planes.regions.len(), planes.median_edge_m));
+    reporter.check()?;
+    let stage = reporter.stage("classes", 0);
+    let classes = classes::label(mesh, &planes, &config.classes, &config.classify);
+    let total: f64 = shares(mesh, &classes).iter().map(|s| s.area_m2).sum();
+    let parts = shares(mesh, &classes).into_iter().map(|s| format!("{} {:.0} %", s.class, 100.0 * s.area_m2 / total));
+    stage.finish(parts.collect::<Vec<_>>().join(", "));
+    reporter.check()?;
+    Ok((classes, planes.median_edge_m))
+}
+
+fn shares(mesh: &Mesh, classes: &Classes) -> Vec<ClassShare> {
+    let mut rows: Vec<ClassShare> =
+        classes.scheme.0.iter().map(|c| ClassShare { class: c.name.clone(), triangles: 0, area_m2: 0.0 }).collect();
+    for (f, label) in classes.label.iter().enumerate() {
+        rows[label.index()].triangles += 1;
+        rows[label.index()].area_m2 += mesh.cross(f).length() * 0.5;
+    }
+    rows
+}
+
+fn cut(
+    mesh: Mesh,
+    classes: Classes,
+    images: &Images,
+    config: &Config,
+    reporter: &Reporter,
+) -> Result<(Partition, Classes)> {
+    let stage = reporter.stage("cells", 0);
+    let texels: Vec<f64> = (0..mesh.faces.len())
+        .map(|f| {
+            let image = mesh.materials.get(mesh.face_material[f] as usize).and_then(|m| m.image);
+            match (mesh.corner_uvs.get(f), image) {
+                (Some(uvs), Some(image)) => texels_of(uvs, images.dimensions(image)),
+                _ => 0.0,
+            }
+        })
+        .collect();
+    // A leaf is full when either its faces or its texels are.
+    let levels = &config.levels;
+    let weight = |f: usize| (1.0 / levels.leaf_faces as f64).max(texels[f] / levels.leaf_texels as f64);
+    let before = mesh.faces.len();
+    let partition = Partition::of(mesh, weight, 1.0);
+    let classes = classes.inherited(&partition.origin);
+    let leaves = partition.leaf.chunk_by(|a, b| a == b).count();
+    let after = partition.mesh.faces.len();
+    stage.finish(format!(
+        "{leaves} leaves in {} levels, {before} → {after} triangles along their walls",
+        partition.depth() + 1
+    ));
+    reporter.check()?;
+    Ok((partition, classes))
+}
+
+fn simplify(
+    partition: &Partition,
+    classes: &Classes,
+    median_edge_m: f64,
+    config: &Config,
+    reporter: &Reporter,
+) -> Result<TileTree> {
+    let stage = reporter.stage("collapse", 0);
+    let tree = TileTree::of(partition, classes, median_edge_m, &config.levels, &config.collapse, reporter)?;
+    let last = tree.log.steps.last().map_or(0.0, |s| s.0);
+    stage.finish(format!(
+        "{} collapses in {} steps to scale {last:.2}, {} tiles",
+        tree.log.events.len(),
+        tree.log.steps.len(),
+        tree.tiles.len()
+    ));
+    Ok(tree)
+}
+
+/// What is known of a tile once it is on disk.
+struct Written {
+    uri: String,
+    bytes: u64,
+    bounds: Aabb,
+    geometry_m: f64,
+    texel_m: f64,
+    triangles: usize,
+    classes: Vec<ClassDeviation>,
+}
+
+fn write_tiles(
+    tree: &TileTree,
+    maker: &Maker,
+    config: &Config,
+    output: &Output,
+    reporter: &Reporter,
+) -> Result<Vec<Written>> {
+    let stage = reporter.stage("tiles", tree.tiles.len() as u64);
+    let options =
+        GlbOptions { compress: config.write.compress, primitives_per_class: config.write.primitives_per_class };
+    // The heaviest first: the root needs the whole source and would otherwise run alone at the end.
+    let mut order: Vec<usize> = (0..tree.tiles.len()).collect();
+    let weight = |t: &usize| tree.tiles[*t].source.iter().map(|r| r.len()).sum::<usize>();
+    order.sort_by_key(|t| (std::cmp::Reverse(weight(t)), *t));
+    let next = std::sync::atomic::AtomicUsize::new(0);
+    let work = |_| -> Result<Vec<(usize, Written)>> {
+        let mut done = Vec::new();
+        while let Some(&t) = order.get(next.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) {
+            reporter.check()?;
+            done.push((t, write_tile(&tree.tiles[t], maker, &config.classes, &options, output)?));
+            stage.step(1);
+        }
+        Ok(done)
+    };
+    let threads = rayon::current_num_threads();
+    let done: Result<Vec<Vec<(usize, Written)>>> = (0..threads).into_par_iter().with_max_len(1).map(work).collect();
+    let mut done: Vec<(usize, Written)> = done?.into_iter().flatten().collect();
+    done.sort_by_key(|d| d.0);
+    let bytes: u64 = done.iter().map(|d| d.1.bytes).sum();
+    stage.finish(format!("{} tiles, {:.1} MB", done.len(), bytes as f64 / 1e6));
+    Ok(done.into_iter().map(|d| d.1).collect())
+}
+
+fn write_tile(
+    tile: &Tile,
+    maker: &Maker,
+    scheme: &ClassScheme,
+    options: &GlbOptions,
+    output: &Output,
+) -> Result<Written> {
+    let made = maker.make(tile)?;
+    // Rounding to the compressed grid is an error like any other.
+    let rounding_m = if options.compress { write::quantization_error_m(&made.content) } else { 0.0 };
+    let uri = format!("tiles/{}/{}.glb", tile.level, maker.partition.key(tile.cell));
+    let glb = write::glb(&made.content, scheme, options);
+    output.write(&uri, &glb)?;
+    let outward = DVec3::splat(rounding_m);
+    Ok(Written {
+        uri,
+        bytes: glb.len() as u64,
+        bounds: Aabb { min: made.bounds.min - outward, max: made.bounds.max + outward },
+        geometry_m: made.geometry_m + rounding_m,
+        texel_m: made.texel_m,
+        triangles: made.triangles,
+        classes: made.classes,
+    })
+}
+
+/// The tree as it is written: boxes hold their children's, errors never fall towards the root.
+fn entry(tree: &TileTree, at: usize, written: &[Written], scheme: &ClassScheme, texel_factor: f64) -> TileEntry {
+    let (tile, made) = (&tree.tiles[at], &written[at]);
+    let children: Vec<TileEntry> =
+        tile.children.iter().map(|&c| entry(tree, c as usize, written, scheme, texel_factor)).collect();
+    let of_children = children.iter().map(|c| c.geometric_error_m).fold(0.0, f64::max);
+    // A leaf is the source, texels and all: only what rounding did to it counts.
+    let own = if tile.mesh.is_some() { made.geometry_m.max(texel_factor * made.texel_m) } else { made.geometry_m };
+    let class_error = |d: &ClassDeviation| ClassError {
+        class: d.class,
+        budget_m: scheme[d.class].budget_m * tile.scale,
+        bound_m: d.bound_m,
+        mean_m: d.figures.mean_m,
+        rms_m: d.figures.rms_m,
+        p95_m: d.figures.p95_m,
+        p99_m: d.figures.p99_m,
+        inside_m: d.inside_m,
+    };
+    TileEntry {
+        uri: made.uri.clone(),
+        box_local: children.iter().fold(made.bounds, |b, c| b.union(c.box_local)),
+        geometric_error_m: own.max(of_children),
+        geometry_m: made.geometry_m,
+        texel_m: made.texel_m,
+        triangles: made.triangles as u64,
+        bytes: made.bytes,
+        classes: made.classes.iter().map(class_error).collect(),
+        level: tile.level,
+        children,
+    }
+}
+
+fn level_rows(root: &TileEntry, scheme: &ClassScheme) -> Vec<LevelRow> {
+    let mut rows: Vec<LevelRow> = Vec::new();
+    let mut open = vec![root];
+    while let Some(tile) = open.pop() {
+        open.extend(&tile.children);
+        let level = tile.level as usize;
+        while rows.len() <= level {
+            let classes =
+                scheme.0.iter().map(|c| ClassRow { class: c.name.clone(), bound_m: 0.0, mean_m: 0.0, p95_m: 0.0 });
+            rows.push(LevelRow {
+                level: rows.len() as u32,
+                tiles: 0,
+                leaves: 0,
+                triangles: 0,
+                bytes: 0,
+                geometric_error_m: 0.0,
+                geometry_m: 0.0,
+                texel_m: 0.0,
+                classes: classes.collect(),
+            });
+        }
+        let row = &mut rows[level];
+        row.tiles += 1;
+        row.leaves += usize::from(tile.children.is_empty());
+        row.triangles += tile.triangles;
+        row.bytes += tile.bytes;
+        row.geometric_error_m = row.geometric_error_m.max(tile.geometric_error_m);
+        row.geometry_m = row.geometry_m.max(tile.geometry_m);
+        row.texel_m = row.texel_m.max(tile.texel_m);
+        for class in &tile.classes {
+            let of = &mut row.classes[class.class.index()];
+            of.bound_m = of.bound_m.max(class.bound_m);
+            of.mean_m = of.mean_m.max(class.mean_m);
+            of.p95_m = of.p95_m.max(class.p95_m);
+        }
+    }
+    rows
+}
+
+fn credits(source: &Source, added: &str) -> Option<String> {
+    let mut all: Vec<&str> =
+        source.copyright.iter().map(|c| c.trim()).chain([added.trim()]).filter(|c| !c.is_empty()).collect();
+    let mut seen = std::collections::BTreeSet::new();
+    all.retain(|c| seen.insert(*c));
+    (!all.is_empty()).then(|| all.join("; "))
+}
+
+/// From this file a build can be repeated. It holds no times and no paths: equal builds have equal bytes.
+fn build_json(
+    job: &Job,
+    frame: &FrameSummary,
+    gate: &GateReport,
+    shares: &[ClassShare],
+    levels: &[LevelRow],
+    reporter: &Reporter,
+) -> Vec<u8> {
+    let warnings: Vec<_> =
+        reporter.warnings().into_iter().map(|w| json!({"code": w.code, "count": w.count, "first": w.first})).collect();
+    let text = serde_json::to_string_pretty(&json!({
+        "generator": GENERATOR,
+        "inputs": job.inputs,
+        "config": job.config,
+        "georeference": job.georeference,
+        "frame": frame,
+        "gate": gate,
+        "classes": shares,
+        "levels": levels,
+        "warnings": warnings,
+    }));
+    text.unwrap_or_default().into_bytes()
+}

@@ -123,6 +123,10 @@ impl Surface<'_> {
 pub struct TextureConfig {
     /// Largest atlas side, texels, 64 to 16384. A tile that needs more is scaled down. Default: 8192.
     pub max_atlas_px: u32,
+    /// Largest atlas side of a simplified tile, texels. Default: 2048, about 600 kB.
+    pub coarse_atlas_px: u32,
+    /// Largest atlas side of the root, texels. Default: 1024: the first view loads at once.
+    pub root_atlas_px: u32,
     /// Texels of padding on each side of a chart, 1 to 64; 2^m keeps m mip levels clean. Default: 2.
     pub gutter_px: u32,
     /// JPEG quality of repacked (leaf) atlases, 1 to 100. Default: 88.
@@ -144,6 +148,8 @@ impl Default for TextureConfig {
     fn default() -> Self {
         Self {
             max_atlas_px: 8192,
+            coarse_atlas_px: 2048,
+            root_atlas_px: 1024,
             gutter_px: 2,
             jpeg_quality: 88,
             coarse_jpeg_quality: 80,
@@ -168,6 +174,8 @@ impl TextureConfig {
             }
         };
         range("max_atlas_px", self.max_atlas_px.into(), 64.0, 16384.0);
+        range("coarse_atlas_px", self.coarse_atlas_px.into(), 64.0, 16384.0);
+        range("root_atlas_px", self.root_atlas_px.into(), 64.0, 16384.0);
         range("gutter_px", self.gutter_px.into(), 1.0, 64.0);
         range("jpeg_quality", self.jpeg_quality.into(), 1.0, 100.0);
         range("coarse_jpeg_quality", self.coarse_jpeg_quality.into(), 1.0, 100.0);

@@ -205,7 +205,7 @@ impl Maker<'_> {
         geometry_m: f64,
         classes: Vec<ClassDeviation>,
     ) -> MadeTile {
-        let bounds = Aabb::of(&patch.positions);
+        let bounds = Aabb::of(patch.positions.iter().copied());
         // Origins on a coarse grid print short and are exact in f32.
         let origin = (bounds.center() * ORIGINS_PER_M).round() / ORIGINS_PER_M;
         let texel_m = paint.as_ref().map_or(0.0, |p| p.texel_m);
@@ -239,7 +239,7 @@ impl Maker<'_> {
         content.atlas = paint.map(|p| encode_jpeg(&p.atlas, quality));
         // The box of what a viewer sees: f32 vertices about the origin.
         let seen: Vec<DVec3> = content.positions.iter().map(|p| origin + p.as_dvec3()).collect();
-        MadeTile { bounds: Aabb::of(&seen), geometry_m, texel_m, triangles: content.faces.len(), classes, content }
+        MadeTile { bounds: Aabb::of(seen), geometry_m, texel_m, triangles: content.faces.len(), classes, content }
     }
 }
 

@@ -73,6 +73,20 @@ impl Partition {
         at
     }
 
+    /// A name for a cell: `r` for the root, then a digit a level (0 south-west, 1 south-east, 2 north-west, 3 north-east).
+    pub fn key(&self, cell: u32) -> String {
+        let mut digits = Vec::new();
+        let mut at = cell;
+        while self.cells[at as usize].depth > 0 {
+            let parent = self.cells[at as usize].parent;
+            let first = self.cells[parent as usize].children.map_or(at, |c| c[0]);
+            digits.push(char::from(b'0' + (at - first) as u8));
+            at = parent;
+        }
+        digits.push('r');
+        digits.iter().rev().collect()
+    }
+
     /// Depth of the deepest leaf.
     pub fn depth(&self) -> u8 {
         self.cells.iter().map(|c| c.depth).max().unwrap_or(0)

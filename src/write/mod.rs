@@ -10,7 +10,7 @@ pub mod tileset;
 pub use content::{TileContent, quantization_error_m};
 pub use glb::{GlbOptions, glb};
 pub use output::Output;
-pub use tileset::{Aabb, About, ClassError, TileEntry, tileset};
+pub use tileset::{About, ClassError, TileEntry, tileset};
 
 /// What stands in `asset.generator`.
 pub const GENERATOR: &str = concat!("rooftile ", env!("CARGO_PKG_VERSION"));

@@ -13,18 +13,10 @@ use serde_json::{Value, json};
 
 use super::GENERATOR;
 use super::glb::surface_class;
+use crate::geo::Aabb;
 use crate::ids::{ClassId, ClassScheme};
 use crate::schema::metadata::{Class, ClassStatistics, Entity, Property, Schema, Statistics};
 use crate::schema::tileset::{Asset, BoundingVolume, Content, Tile, Tileset};
-
-/// An axis-aligned box in the local frame, metres.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Aabb {
-    /// Lowest corner.
-    pub min: DVec3,
-    /// Highest corner.
-    pub max: DVec3,
-}
 
 /// How wrong one class is in one tile, metres.
 #[derive(Debug, Clone, Copy, PartialEq)]

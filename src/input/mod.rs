@@ -205,6 +205,9 @@ mod tests {
 
     const TRIANGLE: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nf 1/1 2/1 3/1\n";
 
+    /// Code, count and first file of each kind.
+    type Warnings = Vec<(&'static str, u64, PathBuf)>;
+
     /// Tiles that share one image and have one material each of the same name.
     fn tiles(names: &[&str]) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
@@ -220,7 +223,7 @@ mod tests {
         folder
     }
 
-    fn read_all(inputs: &[PathBuf]) -> (Result<(Source, Found)>, Vec<(&'static str, u64, PathBuf)>) {
+    fn read_all(inputs: &[PathBuf]) -> (Result<(Source, Found)>, Warnings) {
         let reporter = Reporter::new(true);
         let outcome = read(inputs, &InputConfig::default(), &reporter);
         (outcome, reporter.warnings().into_iter().map(|w| (w.code, w.count, w.first_path)).collect())
@@ -273,7 +276,7 @@ mod tests {
     fn a_file_named_alone_may_not_refer_beside_its_folder_as_one_in_a_named_folder_may() {
         let folder = tiles(&["a", "b"]);
         let file = folder.path().join("b/tile.obj");
-        assert!(matches!(read_all(&[file.clone()]).0, Err(Error::Input { .. })));
+        assert!(matches!(read_all(std::slice::from_ref(&file)).0, Err(Error::Input { .. })));
         // Naming a second file elsewhere must not widen what the first may refer to.
         assert!(matches!(read_all(&[file, folder.path().join("a/tile.obj")]).0, Err(Error::Input { .. })));
         assert!(read_all(&[folder.path().to_path_buf()]).0.is_ok());

@@ -21,10 +21,12 @@ const VIEWER: &str = "viewer/";
 const CONFIG: &str = "viewer/config.json";
 
 /// Our page, compiled in: request path, content.
-const PAGE: [(&str, &[u8]); 4] = [
+const PAGE: [(&str, &[u8]); 6] = [
     ("", include_bytes!("viewer/index.html")),
     ("viewer/style.css", include_bytes!("viewer/style.css")),
     ("viewer/viewer.js", include_bytes!("viewer/viewer.js")),
+    ("viewer/classes.js", include_bytes!("viewer/classes.js")),
+    ("viewer/inspect.js", include_bytes!("viewer/inspect.js")),
     ("viewer/panel.js", include_bytes!("viewer/panel.js")),
 ];
 

@@ -9,7 +9,8 @@ use super::*;
 use crate::ids::{ClassId, ClassScheme};
 use crate::schema::gltf::Gltf;
 use crate::write::tileset::bytes;
-use crate::write::{Aabb, About, ClassError, GlbOptions, TileContent, TileEntry, quantization_error_m};
+use crate::geo::Aabb;
+use crate::write::{About, ClassError, GlbOptions, TileContent, TileEntry, quantization_error_m};
 
 const PLAIN: GlbOptions = GlbOptions { compress: false, primitives_per_class: false };
 const ALL: GlbOptions = GlbOptions { compress: true, primitives_per_class: true };

@@ -132,6 +132,11 @@ impl<'a> Elements<'a> {
         self.dense.is_none() && self.sparse.is_none()
     }
 
+    /// Elements replaced by a sparse overlay.
+    pub fn sparse_count(&self) -> u64 {
+        self.sparse.as_ref().map_or(0, |(indices, _)| indices.len() as u64)
+    }
+
     /// Component type's largest value, which restarts a primitive.
     pub fn restart(&self) -> u32 {
         match self.component.bytes() {

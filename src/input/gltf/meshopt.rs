@@ -103,3 +103,31 @@ fn color<C: bytemuck::Pod + ::meshopt::FilterComponent>(bytes: &mut [u8]) {
     ::meshopt::decode_filter_color(&mut pixels);
     bytes.copy_from_slice(bytemuck::cast_slice(&pixels));
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::schema::Int;
+    use super::*;
+
+    #[test]
+    fn filtered_colors_come_back_within_two_steps() {
+        let colors = [[1.0f32, 0.5, 0.25, 1.0], [0.0, 0.8, 0.1, 1.0]];
+        let wanted = colors.map(|c| c.map(|v| (v * 255.0).round() as u8));
+        let filtered = ::meshopt::encode_filter_color::<u8>(&colors, 8);
+        let bytes = ::meshopt::encode_vertex_buffer(&filtered).unwrap();
+        let packed = Meshopt {
+            buffer: Int(0),
+            byte_offset: None,
+            byte_length: Int(bytes.len() as u64),
+            byte_stride: Int(4),
+            count: Int(2),
+            mode: "ATTRIBUTES".into(),
+            filter: Some("COLOR".into()),
+        };
+        let path = Path::new("a.glb");
+        let found = unpack(&packed, &bytes, Some(8), path, |what| Error::input(path, what)).unwrap();
+        for (found, wanted) in found.iter().zip(wanted.as_flattened()) {
+            assert!(found.abs_diff(*wanted) <= 2, "{found} {wanted}");
+        }
+    }
+}

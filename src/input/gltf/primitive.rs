@@ -34,6 +34,8 @@ impl<'a> Builder<'a> {
     pub fn add(&mut self, primitive: &Primitive, instance: &Instance, source: &mut Source) -> Result<()> {
         let (data, reporter) = (self.data, self.reporter);
         let skip = |what: String| reporter.warn("skipped-primitive", data.path, what);
+        // One that is skipped costs a little too, or it could be repeated for ever.
+        self.charge(1)?;
         let mode = primitive.mode.map_or(TRIANGLES, |mode| mode.0);
         match mode {
             0..TRIANGLES => {
@@ -55,6 +57,8 @@ impl<'a> Builder<'a> {
         let paint = self.palette.paint(primitive.material)?;
         let uvs = self.uvs(primitive, &paint, positions.count)?;
         let colors = self.attribute(primitive, "COLOR_0", Use::Color, positions.count)?;
+        let overlays = [Some(&positions), uvs.as_ref(), colors.as_ref()].into_iter().flatten();
+        self.charge(overlays.map(Elements::sparse_count).sum())?;
 
         let mut part = Part { path: data.path.to_path_buf(), ..Part::default() };
         let used = self.place(&faces, &positions, instance, &mut part);
@@ -78,17 +82,23 @@ impl<'a> Builder<'a> {
         Ok(())
     }
 
+    /// Counts work done against what the buffers read so far can honestly ask for.
+    fn charge(&mut self, corners: u64) -> Result<()> {
+        self.corners = self.corners.saturating_add(corners);
+        let limit = self.data.loaded_bytes().saturating_add(MAX_REPEATED_CORNERS);
+        if self.corners > limit {
+            let what = format!("shared geometry is repeated to over {limit} corners; split the file");
+            return Err(Error::Limit { path: self.data.path.into(), what });
+        }
+        Ok(())
+    }
+
     /// Triangles as indices below the vertex count, in the winding of the file.
     fn faces(&mut self, primitive: &Primitive, mode: u64, positions: &Elements<'_>) -> Result<Vec<[u32; 3]>> {
         let data = self.data;
         let indices = primitive.indices.map(|index| Elements::of(data, index, Use::Indices)).transpose()?;
         let corners = indices.as_ref().map_or(positions.count, |indices| indices.count);
-        self.corners = self.corners.saturating_add(corners);
-        let limit = data.loaded_bytes().saturating_add(MAX_REPEATED_CORNERS);
-        if self.corners > limit {
-            let what = format!("shared geometry is repeated to over {limit} corners; split the file");
-            return Err(Error::Limit { path: data.path.into(), what });
-        }
+        self.charge(corners + indices.as_ref().map_or(0, Elements::sparse_count))?;
         let mut restarts = 0;
         let mut stops = Vec::new();
         let mut list = Vec::with_capacity(corners as usize);

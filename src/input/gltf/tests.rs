@@ -502,6 +502,25 @@ fn an_rtc_center_is_added_after_the_axes_are_turned() {
 }
 
 #[test]
+fn many_nodes_that_show_many_empty_primitives_meet_the_limit() {
+    let mut model = Model::square();
+    model.json["meshes"][0]["primitives"] = json!(vec![json!({ "mode": 0 }); 5_000]);
+    model.json["nodes"] = json!(vec![json!({ "mesh": 0 }); 5_000]);
+    model.json["scenes"][0]["nodes"] = json!((0..5_000).collect::<Vec<_>>());
+    assert!(matches!(model.read().result, Err(Error::Limit { .. })));
+}
+
+#[test]
+fn shared_geometry_is_copied_for_every_node() {
+    let mut model = Model::square();
+    model.json["nodes"] = json!([{ "mesh": 0 }, { "mesh": 0, "translation": [5, 0, 0] }]);
+    model.json["scenes"][0]["nodes"] = json!([0, 1]);
+    let outcome = model.read();
+    assert_eq!(outcome.source().parts.iter().map(|p| p.positions[0].x).collect::<Vec<_>>(), [0., 5.]);
+}
+
+#[cfg(unix)]
+#[test]
 fn files_beside_the_gltf_are_read_and_files_elsewhere_refused() {
     let outer = tempfile::tempdir().unwrap();
     let folder = outer.path().join("in");

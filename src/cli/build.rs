@@ -106,7 +106,7 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     let triangles: usize = source.parts.iter().map(|p| p.faces.len()).sum();
     stage.finish(format!("{} files, {triangles} triangles, {} images", found.files.len(), source.images.len()));
 
-    let job = Job { out, force: args.force, config: &config, georeference, inputs };
+    let job = Job { out, force: args.force, config: &config, georeference, inputs, labels_are_truth: false };
     let report = pipeline::build(source, &job, reporter)?;
     reporter.say(&report.to_string());
     if json {
@@ -164,7 +164,10 @@ fn refuse_nesting(out: &Path, inputs: &[PathBuf]) -> Result<()> {
         } else {
             continue;
         };
-        return Err(Error::Output { path: out.to_path_buf(), what: format!("{what} {}; name a folder beside it", input.display()) });
+        return Err(Error::Output {
+            path: out.to_path_buf(),
+            what: format!("{what} {}; name a folder beside it", input.display()),
+        });
     }
     Ok(())
 }

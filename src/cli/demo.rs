@@ -50,7 +50,8 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     stage.finish(format!("{} triangles, {} images", city.truth.len(), city.source.images.len()));
 
     let georeference = Georeference::parse(PLACE)?;
-    let job = Job { out: &args.out, force: true, config: &config, georeference, inputs: Vec::new(), labels_are_truth: true };
+    let job =
+        Job { out: &args.out, force: true, config: &config, georeference, inputs: Vec::new(), labels_are_truth: true };
     let report = pipeline::build(city.source, &job, reporter)?;
     let findings = inspect::check(&args.out)?;
     reporter.say(&report.to_string());
@@ -60,7 +61,8 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     for finding in &findings {
         reporter.say(&format!("check      {finding}"));
     }
-    reporter.say(&format!("\nLook at it: rooftile serve {}  (or cargo run --release -- serve {0})", args.out.display()));
+    reporter
+        .say(&format!("\nLook at it: rooftile serve {}  (or cargo run --release -- serve {0})", args.out.display()));
     if json {
         print_json(&serde_json::json!({ "build": report, "findings": findings }))?;
     }

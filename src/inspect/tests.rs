@@ -6,10 +6,10 @@ use std::path::Path;
 use glam::{DVec3, Vec2, Vec3};
 
 use super::*;
+use crate::geo::Aabb;
 use crate::ids::{ClassId, ClassScheme};
 use crate::schema::gltf::Gltf;
 use crate::write::tileset::bytes;
-use crate::geo::Aabb;
 use crate::write::{About, ClassError, GlbOptions, TileContent, TileEntry, quantization_error_m};
 
 const PLAIN: GlbOptions = GlbOptions { compress: false, primitives_per_class: false };

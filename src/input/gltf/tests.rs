@@ -159,7 +159,7 @@ fn read(bytes: &[u8]) -> Outcome {
 fn read_path(path: &Path) -> Outcome {
     let reporter = Reporter::new(true);
     let mut source = Source::default();
-    let config = InputConfig { allow_outside: false };
+    let config = InputConfig::default();
     let result = super::read(path, &config, &reporter, &mut source).map(|()| source);
     Outcome { result, reporter }
 }
@@ -567,7 +567,7 @@ fn outside_files_are_read_when_allowed() {
     model.json["buffers"][0]["uri"] = json!("../a.bin");
     let path = outer.path().join("in/model.gltf");
     std::fs::write(&path, model.json.to_string()).unwrap();
-    let (config, mut source) = (InputConfig { allow_outside: true }, Source::default());
+    let (config, mut source) = (InputConfig { allow_outside: true, root: None }, Source::default());
     super::read(&path, &config, &Reporter::new(true), &mut source).unwrap();
     assert_eq!(source.parts[0].faces.len(), 2);
 }

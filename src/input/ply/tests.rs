@@ -110,7 +110,7 @@ fn read(bytes: &[u8]) -> Outcome {
 fn read_path(path: &Path) -> Outcome {
     let reporter = Reporter::new(true);
     let mut source = Source::default();
-    let config = InputConfig { allow_outside: false };
+    let config = InputConfig::default();
     let result = super::read(path, &config, &reporter, &mut source).map(|()| source);
     Outcome { result, reporter }
 }

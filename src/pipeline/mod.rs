@@ -1,20 +1,20 @@
 //! A build from input to output, one line a stage.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::json;
 
-use crate::classes::{self, Classes};
+use crate::classes::{self, Classes, Confusion};
 use crate::config::Config;
 use crate::geo::{Aabb, Frame, FrameSummary, Georeference};
-use crate::ids::ClassScheme;
+use crate::ids::{ClassId, ClassScheme};
 use crate::input::Source;
 use crate::mesh::{self, GateReport, Mesh};
 use crate::planes;
-use crate::report::{Reporter, StageTime, Warning};
+use crate::report::Reporter;
 use crate::texture::{Images, Surface};
 use crate::tiles::content::{ClassDeviation, Maker, texels_of};
 use crate::tiles::levels::Tile;
@@ -22,6 +22,11 @@ use crate::tiles::{Partition, TileTree};
 use crate::write::tileset::bytes as tileset_bytes;
 use crate::write::{self, About, ClassError, GENERATOR, GlbOptions, Output, TileEntry};
 use crate::{Error, Result};
+
+pub mod report;
+
+pub use report::BuildReport;
+use report::{ClassShare, LevelRow, level_rows, shares};
 
 /// What to build, and where to.
 pub struct Job<'a> {
@@ -35,6 +40,8 @@ pub struct Job<'a> {
     pub georeference: Georeference,
     /// Name and BLAKE3 of each input, for build.json.
     pub inputs: Vec<InputDigest>,
+    /// The source's face labels are class ids and true: report how well the classes agree.
+    pub labels_are_truth: bool,
 }
 
 /// An input file as it was read.
@@ -46,76 +53,6 @@ pub struct InputDigest {
     pub bytes: u64,
     /// BLAKE3, hexadecimal.
     pub blake3: String,
-}
-
-/// What a build did.
-#[derive(Debug, Serialize)]
-pub struct BuildReport {
-    /// The output folder.
-    pub out: PathBuf,
-    /// The frame.
-    pub frame: FrameSummary,
-    /// The gate.
-    pub gate: GateReport,
-    /// Triangles per class of the source, in scheme order, and their area in m².
-    pub classes: Vec<ClassShare>,
-    /// From the root down.
-    pub levels: Vec<LevelRow>,
-    /// Tiles.
-    pub tiles: usize,
-    /// Bytes of all tiles.
-    pub bytes: u64,
-    /// Counted warnings.
-    pub warnings: Vec<Warning>,
-    /// Wall time by stage; not part of the output, which is the same for every run.
-    pub stages: Vec<StageTime>,
-}
-
-/// How much of the source is of a class.
-#[derive(Debug, Clone, Serialize)]
-pub struct ClassShare {
-    /// Name in the scheme.
-    pub class: String,
-    /// Triangles.
-    pub triangles: usize,
-    /// Area, m².
-    pub area_m2: f64,
-}
-
-/// One level of the hierarchy.
-#[derive(Debug, Clone, Serialize)]
-pub struct LevelRow {
-    /// 0 is the root.
-    pub level: u32,
-    /// Tiles of this level.
-    pub tiles: usize,
-    /// Of them, leaves.
-    pub leaves: usize,
-    /// Triangles.
-    pub triangles: u64,
-    /// Bytes.
-    pub bytes: u64,
-    /// Largest `geometricError`, metres.
-    pub geometric_error_m: f64,
-    /// Largest certified error of the geometry, metres.
-    pub geometry_m: f64,
-    /// Largest texel, metres.
-    pub texel_m: f64,
-    /// The worst of each class over the level's tiles, metres.
-    pub classes: Vec<ClassRow>,
-}
-
-/// One class at one level.
-#[derive(Debug, Clone, Serialize)]
-pub struct ClassRow {
-    /// Name in the scheme.
-    pub class: String,
-    /// Largest certified two-sided bound, metres.
-    pub bound_m: f64,
-    /// Largest mean, metres.
-    pub mean_m: f64,
-    /// Largest 95th percentile, metres.
-    pub p95_m: f64,
 }
 
 /// Builds a tileset; see the crate's own picture of the stages.
@@ -135,6 +72,7 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
     images.cover(&Surface::from(&mesh));
     let (classes, median_edge_m) = classify(&mesh, config, reporter)?;
     let shares = shares(&mesh, &classes);
+    let accuracy = job.labels_are_truth.then(|| agreement(&mesh, &classes));
     let (partition, classes) = cut(mesh, classes, &images, config, reporter)?;
     let tree = simplify(&partition, &classes, median_edge_m, config, reporter)?;
 
@@ -166,6 +104,7 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
         frame,
         gate,
         classes: shares,
+        accuracy,
         tiles: tree.tiles.len(),
         bytes: levels.iter().map(|l| l.bytes).sum(),
         levels,
@@ -218,14 +157,11 @@ fn classify(mesh: &Mesh, config: &Config, reporter: &Reporter) -> Result<(Classe
     Ok((classes, planes.median_edge_m))
 }
 
-fn shares(mesh: &Mesh, classes: &Classes) -> Vec<ClassShare> {
-    let mut rows: Vec<ClassShare> =
-        classes.scheme.0.iter().map(|c| ClassShare { class: c.name.clone(), triangles: 0, area_m2: 0.0 }).collect();
-    for (f, label) in classes.label.iter().enumerate() {
-        rows[label.index()].triangles += 1;
-        rows[label.index()].area_m2 += mesh.cross(f).length() * 0.5;
-    }
-    rows
+/// Classes against the labels of the source, weighted by area.
+fn agreement(mesh: &Mesh, classes: &Classes) -> Confusion {
+    let truth: Vec<ClassId> = mesh.face_labels.iter().map(|&l| ClassId(l.max(0) as u8)).collect();
+    let areas: Vec<f64> = (0..mesh.faces.len()).map(|f| mesh.cross(f).length() * 0.5).collect();
+    classes::confusion(&truth, &classes.label, &areas)
 }
 
 fn cut(
@@ -379,45 +315,6 @@ fn entry(tree: &TileTree, at: usize, written: &[Written], scheme: &ClassScheme, 
         level: tile.level,
         children,
     }
-}
-
-fn level_rows(root: &TileEntry, scheme: &ClassScheme) -> Vec<LevelRow> {
-    let mut rows: Vec<LevelRow> = Vec::new();
-    let mut open = vec![root];
-    while let Some(tile) = open.pop() {
-        open.extend(&tile.children);
-        let level = tile.level as usize;
-        while rows.len() <= level {
-            let classes =
-                scheme.0.iter().map(|c| ClassRow { class: c.name.clone(), bound_m: 0.0, mean_m: 0.0, p95_m: 0.0 });
-            rows.push(LevelRow {
-                level: rows.len() as u32,
-                tiles: 0,
-                leaves: 0,
-                triangles: 0,
-                bytes: 0,
-                geometric_error_m: 0.0,
-                geometry_m: 0.0,
-                texel_m: 0.0,
-                classes: classes.collect(),
-            });
-        }
-        let row = &mut rows[level];
-        row.tiles += 1;
-        row.leaves += usize::from(tile.children.is_empty());
-        row.triangles += tile.triangles;
-        row.bytes += tile.bytes;
-        row.geometric_error_m = row.geometric_error_m.max(tile.geometric_error_m);
-        row.geometry_m = row.geometry_m.max(tile.geometry_m);
-        row.texel_m = row.texel_m.max(tile.texel_m);
-        for class in &tile.classes {
-            let of = &mut row.classes[class.class.index()];
-            of.bound_m = of.bound_m.max(class.bound_m);
-            of.mean_m = of.mean_m.max(class.mean_m);
-            of.p95_m = of.p95_m.max(class.p95_m);
-        }
-    }
-    rows
 }
 
 fn credits(source: &Source, added: &str) -> Option<String> {

@@ -311,10 +311,8 @@ fn wall(b: &Building, l: DVec3) -> Vec3 {
     let (side, _) = b.wall_at(l);
     let along = if side < 2 { l.x } else { l.y };
     let style = &b.style;
-    if let Some(opening) = b.opening(side, l) {
-        if let Some(found) = window(b, &opening) {
-            return found;
-        }
+    if let Some(found) = b.opening(side, l).and_then(|opening| window(b, &opening)) {
+        return found;
     }
     let mut base = if style.brick {
         masonry(DVec2::new(along, l.z), style.wall, 0.34)

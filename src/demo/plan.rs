@@ -99,6 +99,14 @@ impl Planner<'_> {
         frame
     }
 
+    /// A point of the ground on a lattice column, so that a thin post or trunk there is not missed.
+    fn snapped(&self, town: DVec2) -> DVec3 {
+        let low = -(self.half_m / self.voxel_m).floor() * self.voxel_m;
+        let steps = ((self.ground.plan(town) - DVec2::splat(low)) / self.voxel_m).round();
+        let plan = DVec2::splat(low) + steps * self.voxel_m;
+        plan.extend(self.ground.height(plan))
+    }
+
     /// True where no building or fence is within `gap` of a plan point.
     fn is_free(&self, plan: DVec2, gap: f64) -> bool {
         self.things.iter().all(|thing| {
@@ -135,7 +143,7 @@ impl Planner<'_> {
     }
 
     fn flat(&self, height_m: f64) -> Roof {
-        Roof::Flat { height_m, thickness_m: (1.15 * self.voxel_m).max(0.4) }
+        Roof::Flat { height_m, thickness_m: (1.3 * self.voxel_m).max(0.4) }
     }
 
     fn block(&mut self, i: usize, j: usize) {
@@ -532,7 +540,7 @@ impl Planner<'_> {
         let conifer = self.rng.chance(conifers);
         let radius = height * if conifer { 0.26 } else { self.rng.range(0.32, 0.42) };
         let seed = self.rng.bits() as u32;
-        let foot = self.frame(town, Side::LowV).origin;
+        let foot = self.snapped(town);
         if self.is_free(foot.truncate(), 0.75 * radius) {
             self.push(Shape::Tree(Tree { foot, height, radius, conifer, seed }));
         }
@@ -600,11 +608,8 @@ impl Planner<'_> {
         let slot = (at / 6.2).round() as i64;
         if slot.rem_euclid(4) == 0 {
             let sign = if slot.rem_euclid(8) == 0 { 1.0 } else { -1.0 };
-            let foot = self.frame(town(sign * (half + 0.6), at), Side::LowV).origin;
-            // On a lattice node, so that a thin post is not missed by the lattice.
-            let snapped = (foot.truncate() / self.voxel_m).round() * self.voxel_m;
-            if self.is_free(snapped, 1.0) {
-                let foot = snapped.extend(foot.z);
+            let foot = self.snapped(town(sign * (half + 0.6), at));
+            if self.is_free(foot.truncate(), 1.0) {
                 self.push(Shape::Lamp { foot, radius: (0.3 * self.voxel_m).min(0.2) });
             }
         }

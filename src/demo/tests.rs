@@ -168,3 +168,25 @@ fn noise_has_the_deviation_that_was_asked_for() {
     let still = CityConfig { noise_m: 0.0, ..config };
     assert_eq!(disturb(&still, DVec3::ONE, DVec3::Z), DVec3::ONE);
 }
+
+#[test]
+fn hardly_anything_floats() {
+    // Islands of the welded surface, by union of edge ends.
+    let edges = edges(small());
+    let count = edges.keys().map(|e| e.1 as usize + 1).max().unwrap();
+    let mut parent: Vec<u32> = (0..count as u32).collect();
+    fn find(parent: &mut [u32], mut v: u32) -> u32 {
+        while parent[v as usize] != v {
+            parent[v as usize] = parent[parent[v as usize] as usize];
+            v = parent[v as usize];
+        }
+        v
+    }
+    for &(v, w) in edges.keys() {
+        let (a, b) = (find(&mut parent, v), find(&mut parent, w));
+        parent[a.max(b) as usize] = a.min(b);
+    }
+    let ground = find(&mut parent, 0);
+    let floating = (0..count as u32).filter(|&v| find(&mut parent, v) != ground).count();
+    assert!(floating * 100 < count, "{floating} of {count} vertices float");
+}

@@ -25,7 +25,7 @@
 //! windows are shallower than their 25 cm on the coarser lattices. No water, bridges or interiors.
 //!
 //! # Cost
-//! One core: 2.2 s and 0.2 GB (small), 10 s (medium), 30 s and 1 GB (large, mostly images).
+//! One core: 2.2 s and 0.1 GB (small), 10 s and 0.4 GB (medium), 28 s and 0.9 GB (large, mostly images).
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -70,11 +70,15 @@ pub(super) fn lay_out(ground: &Ground, seed: u64, extent_m: f64, voxel_m: f64) -
 impl Planner<'_> {
     fn push(&mut self, shape: Shape) {
         let thing = Thing::new(shape);
-        // Nothing is cut by the border: cut things would show their hollow inside.
-        let inside = self.half_m - 0.5 * self.voxel_m;
-        if thing.low.truncate().min_element() > -inside && thing.high.truncate().max_element() < inside {
+        if self.is_inside(&thing) {
             self.things.push(thing);
         }
+    }
+
+    /// True for things the border does not cut: cut things would show their hollow inside.
+    fn is_inside(&self, thing: &Thing) -> bool {
+        let inside = self.half_m - 0.5 * self.voxel_m;
+        thing.low.truncate().min_element() > -inside && thing.high.truncate().max_element() < inside
     }
 
     /// A frame on the ground at a town point, its y axis pointing away from the street on `side`.
@@ -529,8 +533,11 @@ impl Planner<'_> {
         let mut tower = Building { half: DVec2::splat(3.0), eave: 17.0, roof: Roof::Hip(2.7), ..nave.clone() };
         (tower.floors, tower.floor_m, tower.bay_m, tower.style.roof) = (3, 5.6, 4.0, [0.34, 0.46, 0.42]);
         tower.frame.origin = frame.world(DVec3::new(-half.x - 1.5, 0.0, 0.0));
-        self.push(Shape::Building(nave));
-        self.push(Shape::Building(tower));
+        // Both or none: a border must not leave a tower alone.
+        let [nave, tower] = [nave, tower].map(|b| Thing::new(Shape::Building(b)));
+        if self.is_inside(&nave) && self.is_inside(&tower) {
+            self.things.extend([nave, tower]);
+        }
     }
 
     // ---- small things

@@ -57,8 +57,7 @@ async fn look_up(site: Arc<Site>, path: &str, headers: &HeaderMap, is_get: bool)
     let Some(path) = decode(path) else {
         return refuse(StatusCode::BAD_REQUEST, "a % is not followed by two hexadecimal digits\n");
     };
-    let path = path.and_then(|path| path.strip_prefix('/').map(str::to_owned));
-    let Some(path) = path else {
+    let Some(path) = path.and_then(|path| table_key(&path)) else {
         return refuse(StatusCode::NOT_FOUND, "no such file\n");
     };
     // The file system may be slow: never wait for it on the thread that serves everybody.
@@ -154,6 +153,16 @@ fn decode(path: &str) -> Option<Option<String>> {
         }
     }
     Some(String::from_utf8(decoded).ok())
+}
+
+/// A path as the table has it: no leading slash, and no doubled ones, which 3DTilesRendererJS makes when
+/// tileset.json is at the top of a server.
+fn table_key(path: &str) -> Option<String> {
+    let mut key = path.strip_prefix('/')?.trim_start_matches('/').to_owned();
+    while key.contains("//") {
+        key = key.replace("//", "/");
+    }
+    Some(key)
 }
 
 #[cfg(test)]

@@ -188,6 +188,15 @@ fn percent_encoding_is_undone_once() {
 }
 
 #[test]
+fn doubled_slashes_are_one() {
+    let house = house();
+    for path in ["//0/1.glb", "/0//1.glb", "/////0////1.glb", "/%2f0/1.glb"] {
+        assert_eq!(house.get(path).body, TILE, "{path}");
+    }
+    assert_eq!(house.get("//0/1.glb//").status, 404);
+}
+
+#[test]
 fn no_path_string_reaches_a_file_outside_or_fails_the_server() {
     let house = house();
     let long = format!("/{}", "a".repeat(8000));
@@ -205,7 +214,6 @@ fn no_path_string_reaches_a_file_outside_or_fails_the_server() {
         "/0/..%2f..%2fsecret.txt",
         "/0/../0/1.glb",
         "/./tileset.json",
-        "//tileset.json",
         "/tileset.json/",
         "/tileset.json%00",
         "/tileset.json%00.glb",

@@ -62,8 +62,8 @@ describe('the page', { skip: missing('tileset', 'chromium', 'rooftile', 'cesium'
     }
     assert.equal(typeof found?.class, 'string');
     assert.ok(Number.isFinite(found.geometricError) && found.geometricError >= 0, `geometricError ${found.geometricError}`);
-    assert.ok(Object.keys(found.metadata).length > 0, 'the tile has no metadata');
-    assert.ok(Object.values(found.metadata).some(({ value }) => Array.isArray(value) && value.length === 4), 'no bounds per class');
+    const bounds = Object.values(found.perClass);
+    assert.ok(bounds.length > 0 && bounds.every(({ values }) => Object.values(values).every(Number.isFinite)), `no numbers per class: ${JSON.stringify(found)}`);
     const card = page.locator('#card');
     assert.match(await card.innerText(), new RegExp(`${found.class}[^]*geometric error`));
     await shot(`${NAME}-pick`);
@@ -107,15 +107,28 @@ describe('the page', { skip: missing('tileset', 'chromium', 'rooftile', 'cesium'
   });
 
   test('the arrow keys turn the view', async () => {
-    await page.locator('#view canvas').focus();
-    const before = (await settled(), await call('colours'));
+    const canvas = page.locator('#view canvas');
+    await canvas.focus();
+    await settled();
+    const before = await canvas.screenshot();
     for (let i = 0; i < 9; i++) await page.keyboard.press('ArrowLeft');
     await settled();
-    assert.notDeepEqual((await call('colours')).shares, before.shares);
+    assert.ok(!before.equals(await canvas.screenshot()), 'the picture is the same');
     await call('view', { heading: 30, pitch: -89, range: 100 });
     await settled();
     assert.ok((await call('colours')).drawn > 0.05, 'nothing is drawn from above');
     await shot(`${NAME}-above`);
+  });
+
+  test('a tile that cannot be loaded is told and counted', async () => {
+    const other = await openPage(browser, 'about:blank');
+    await other.page.route('**/*.glb?*', (route) => route.fulfill({ status: 404, body: 'gone' }));
+    await other.page.goto(server.url);
+    const line = other.page.locator('#error');
+    await line.waitFor({ state: 'visible', timeout: PATIENCE });
+    assert.match(await line.innerText(), /\.glb/);
+    assert.ok((await other.page.evaluate(() => window.rooftile.stats())).failed > 0);
+    await other.page.close();
   });
 
   test('nothing failed and nothing left the machine', async () => {

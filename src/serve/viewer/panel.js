@@ -24,12 +24,10 @@ export function metres(m) {
 }
 
 const number = (n) => Number(n).toLocaleString('en-US', { maximumSignificantDigits: 4 });
-/** `geometryErrorM` → [`geometry error`, in metres]. */
-function title(id) {
-  const words = id.replace(/([a-z0-9])([A-Z])/g, '$1 $2').replaceAll('_', ' ').toLowerCase();
-  const bare = words.replace(/ (m|metres|meters)$/, '');
-  return [bare, bare !== words || /\b(error|errors|bound|size|mean|rms|p9\d|max|budget|deviation|sink|rise|texel)\b/.test(words)];
-}
+/** `geometryError` → `geometry error` */
+const title = (id) => id.replace(/([a-z0-9])([A-Z])/g, '$1 $2').replaceAll('_', ' ').toLowerCase();
+/** The schema says which numbers are metres. */
+const isMetres = (what) => /\b(metres|meters)\b/.test(what);
 const shown = (value, inMetres) => (typeof value === 'number' ? (inMetres ? metres(value) : number(value)) : String(value));
 
 /** @param actions { mode(name), sse(pixels), tint(share), boxes(on), wireframe(on), closed() } */
@@ -99,31 +97,33 @@ export function card(found, colours = new Map()) {
   row('level', found.level);
   row('geometric error', metres(found.geometricError), 'What viewers refine by: the written geometricError of this tile');
   if (found.triangles) row('triangles in the tile', number(found.triangles));
-  const perClass = [];
   for (const [id, { value, what }] of Object.entries(found.metadata)) {
-    const [name, inMetres] = title(id);
-    if (Array.isArray(value) && value.length === colours.size && colours.size > 0) perClass.push([name, value, what, inMetres]);
-    else if (value !== undefined && value !== null) row(name, Array.isArray(value) ? value.map((v) => shown(v, inMetres)).join(', ') : shown(value, inMetres), what);
+    if (id in found) continue; // said above
+    row(title(id), Array.isArray(value) ? value.map((v) => shown(v, isMetres(what))).join(', ') : shown(value, isMetres(what)), what);
   }
-  for (const [id, value] of Object.entries(found.feature)) if (id !== 'class' && value !== undefined) row(title(id)[0], shown(value, title(id)[1]));
+  for (const [id, value] of Object.entries(found.feature)) {
+    if (value !== undefined && value !== found.class) row(title(id), shown(value, false));
+  }
   const parts = [heading, list];
-  if (perClass.length) parts.push(table(perClass, colours));
+  if (Object.keys(found.perClass).length) parts.push(table(found.perClass, colours));
   $('card-body').replaceChildren(...parts);
 }
 
-/** One column a property, one row a class. */
+/** One column a measure, one row a class that has any. */
 function table(perClass, colours) {
-  const made = element('table'), head = element('tr');
-  head.append(element('th', 'class'));
-  for (const [name, , what] of perClass) head.append(element('th', name, { title: what, scope: 'col' }));
+  const made = element('table'), head = element('tr'), measures = Object.entries(perClass);
+  head.append(element('th', 'class', { scope: 'col' }));
+  for (const [id, { what }] of measures) head.append(element('th', title(id), { title: what, scope: 'col' }));
   made.append(head);
-  [...colours].forEach(([name, colour], i) => {
+  for (const [name, colour] of colours) {
+    if (measures.every(([, { values }]) => values[name] === undefined)) continue;
     const line = element('tr'), first = element('th', undefined, { scope: 'row' });
-    first.append(swatch(colour), ' ', name);
-    first.firstChild.style.display = 'inline-block';
+    first.append(swatch(colour), ` ${name}`);
     line.append(first);
-    for (const [, values, , inMetres] of perClass) line.append(element('td', shown(values[i], inMetres)));
+    for (const [, { values, what }] of measures) line.append(element('td', values[name] === undefined ? '–' : shown(values[name], isMetres(what))));
     made.append(line);
-  });
-  return made;
+  }
+  const box = element('div', undefined, { class: 'wide' });
+  box.append(made);
+  return box;
 }

@@ -147,7 +147,7 @@ function stats() {
 }
 
 function pick(x, y) {
-  const found = inspect(scene.pick(new Cesium.Cartesian2(x, y)));
+  const found = inspect(scene.pick(new Cesium.Cartesian2(x, y)), [...classes.colours.keys()]);
   panel.card(found, classes.colours);
   scene.requestRender(); // a pick leaves only the tiles under the pixel selected
   return found;

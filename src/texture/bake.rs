@@ -513,7 +513,8 @@ mod tests {
     #[test]
     fn a_mesh_baked_onto_itself_looks_the_same() {
         let scene = Scene::hills(24, from_above);
-        let truth = |p: DVec3| bilinear(&picture(256), None, from_above(p).as_dvec2() * 256.0, [false; 2]);
+        let image = picture(256);
+        let truth = |p: DVec3| bilinear(&image, None, from_above(p).as_dvec2() * 256.0, [false; 2]);
         for samples in [1, 2] {
             let config = TextureConfig { samples, ..Default::default() };
             let baked = scene.bake(&scene.surface(), picture(256), 1.0 / 256.0, &config);
@@ -529,7 +530,8 @@ mod tests {
         let (positions, faces) = grid(6, |x, y| 0.06 * (8.0 * x).sin() * (6.0 * y).cos());
         let tile = Surface { positions: &positions, faces: &faces, ..Default::default() };
         let baked = scene.bake(&tile, picture(512), 1.0 / 128.0, &TextureConfig::default());
-        let truth = |p: DVec3| bilinear(&picture(512), None, from_above(p).as_dvec2() * 512.0, [false; 2]);
+        let image = picture(512);
+        let truth = |p: DVec3| bilinear(&image, None, from_above(p).as_dvec2() * 512.0, [false; 2]);
         let db = surface_psnr(&tile, &baked, truth);
         assert!(db > 27.0, "{db} dB");
     }
@@ -648,7 +650,7 @@ mod tests {
                 let tile = |i: u32| {
                     let texel_m = 0.01 * f64::from(1 + i / 2);
                     let surface = scene.surface();
-                    if i % 2 == 0 {
+                    if i.is_multiple_of(2) {
                         bake(&surface, &source, &images, texel_m, &config)
                     } else {
                         super::super::repack(&surface, &images, &config)

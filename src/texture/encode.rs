@@ -32,7 +32,7 @@ mod tests {
     /// A façade-like picture: smooth light, sharp windows, a coloured sign, some grain.
     fn facade() -> RgbImage {
         RgbImage::from_fn(128, 128, |x, y| {
-            let grain = ((x * 2_654_435_761 ^ y * 40_503) >> 7 & 7) as u8;
+            let grain = (((x.wrapping_mul(2_654_435_761) ^ (y * 40_503)) >> 7) & 7) as u8;
             match (x % 32, y % 32) {
                 (8..=20, 6..=24) => Rgb([40 + grain, 50 + grain, 70]),
                 _ if (40..70).contains(&x) && (50..60).contains(&y) => Rgb([200, 30, 30]),

@@ -115,11 +115,11 @@ mod tests {
             prop_assume!((tri[1] - tri[0]).perp_dot(tri[2] - tri[0]).abs() > 1e-3);
             let mut hit = [[false; 16]; 16];
             centers(tri, 0.0, [16, 16], |y, x0, x1| (x0..x1).for_each(|x| hit[y as usize][x as usize] = true));
-            for y in 0..16 {
-                for x in 0..16 {
+            for (y, row) in hit.iter().enumerate() {
+                for (x, &hit) in row.iter().enumerate() {
                     let least = weights(tri, DVec2::new(x as f64 + 0.5, y as f64 + 0.5)).into_iter().fold(1.0, f64::min);
                     if least.abs() > 1e-9 {
-                        prop_assert_eq!(hit[y][x], least > 0.0);
+                        prop_assert_eq!(hit, least > 0.0);
                     }
                 }
             }

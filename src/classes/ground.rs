@@ -19,8 +19,8 @@ use super::ClassesConfig;
 use crate::mesh::Mesh;
 use crate::planes::{NONE, Planes};
 
-/// Steepest ground the first pass believes in, metres per metre: 45°.
-const STEEPEST: f32 = 1.0;
+/// Steepest ground the first pass believes in, metres per metre: 63°. Steep roofs still fall with their walls.
+const STEEPEST: f32 = 2.0;
 /// What a step may cut off beyond the slope's share, metres: kerbs, noise.
 const STEP_SLACK_M: f32 = 0.3;
 /// Slope allowed beyond the one measured in the first pass.
@@ -68,7 +68,7 @@ impl Ground {
         let allowed: Vec<f32> = slope.iter().map(|s| (s + SLOPE_SLACK).min(STEEPEST) * cell + STEP_SLACK_M).collect();
         let second = ground.without_objects(&surface, &allowed, widest);
         ground.height = ground.recentred(&second);
-        ground.upper = extreme(&ground.height, ground.nx, ground.ny, 1, f32::max);
+        ground.upper = extreme(&ground.height, ground.nx, ground.ny, 1, higher);
         ground
     }
 
@@ -119,7 +119,8 @@ impl Ground {
         low.is_finite().then(|| (p.z - self.origin.z) as f32 - low)
     }
 
-    fn cell(&self, p: DVec3) -> Option<usize> {
+    /// The cell at the plan position of `p`; `None` outside the grid.
+    pub fn cell(&self, p: DVec3) -> Option<usize> {
         let q = (p - self.origin) / self.cell_m;
         let (i, j) = (q.x as usize, q.y as usize);
         (q.x >= 0.0 && q.y >= 0.0 && i < self.nx && j < self.ny).then(|| j * self.nx + i)
@@ -131,11 +132,13 @@ impl Ground {
         for f in 0..mesh.faces.len() {
             let normal: f32 = mesh.faces[f].iter().map(|&v| planes.vertex_normals[v as usize].z).sum::<f32>() / 3.0;
             if normal > UPWARD {
-                self.drop_samples(mesh.corners(f).map(|p| p - self.origin), &mut low);
+                self.for_cells(mesh.corners(f), |cell, z| {
+                    low[cell] = low[cell].min((z - self.origin.z) as f32);
+                });
             }
         }
         let feet = self.wall_feet(mesh, planes);
-        let around = extreme(&low, self.nx, self.ny, 1, f32::min);
+        let around = extreme(&low, self.nx, self.ny, 1, lower);
         for (cell, foot) in feet.iter().enumerate() {
             if *foot + 2.0 < around[cell] {
                 low[cell] = low[cell].min(*foot);
@@ -144,28 +147,26 @@ impl Ground {
         self.fill_pits(low)
     }
 
-    /// Lowers the cells under a face: its corners, and its inside where it is wider than a cell.
-    fn drop_samples(&self, [a, b, c]: [DVec3; 3], low: &mut [f32]) {
+    /// Visits the cells under a triangle with its height there: its corners, and its inside where it is wider than
+    /// a cell.
+    pub fn for_cells(&self, corners: [DVec3; 3], mut visit: impl FnMut(usize, f64)) {
+        let [a, b, c] = corners.map(|p| p - self.origin);
         let mut put = |p: DVec3| {
             let (i, j) = ((p.x / self.cell_m) as usize, (p.y / self.cell_m) as usize);
-            let cell = &mut low[j.min(self.ny - 1) * self.nx + i.min(self.nx - 1)];
-            *cell = cell.min(p.z as f32);
+            visit(j.min(self.ny - 1) * self.nx + i.min(self.nx - 1), p.z + self.origin.z);
         };
         [a, b, c].into_iter().for_each(&mut put);
         let (min, max) = (a.min(b).min(c) / self.cell_m, a.max(b).max(c) / self.cell_m);
         let (wide, tall) = (max.x.floor() - min.x.floor() + 1.0, max.y.floor() - min.y.floor() + 1.0);
-        if wide * tall <= 2.0 {
-            return;
-        }
         let twice = (b - a).truncate().perp_dot((c - a).truncate());
-        if twice == 0.0 {
+        if wide * tall <= 2.0 || twice == 0.0 {
             return;
         }
         let stride = (wide * tall / MAX_SAMPLES).sqrt().ceil().max(1.0);
-        let (mut y, end) = (min.y.floor() + 0.5, max);
-        while y <= end.y {
+        let mut y = min.y.floor() + 0.5;
+        while y <= max.y {
             let mut x = min.x.floor() + 0.5;
-            while x <= end.x {
+            while x <= max.x {
                 let p = DVec3::new(x, y, 0.0) * self.cell_m;
                 let wb = (p - a).truncate().perp_dot((c - a).truncate()) / twice;
                 let wc = (b - a).truncate().perp_dot((p - a).truncate()) / twice;
@@ -176,6 +177,47 @@ impl Ground {
             }
             y += stride;
         }
+    }
+
+    /// Number of cells.
+    pub fn cells(&self) -> usize {
+        self.nx * self.ny
+    }
+
+    /// Groups of cells that touch (corners count), numbered in cell order; `NONE` for cells not taken.
+    pub fn groups(&self, is_taken: impl Fn(usize) -> bool) -> (Vec<u32>, usize) {
+        let mut group = vec![NONE; self.cells()];
+        let (mut count, mut stack) = (0, Vec::new());
+        for start in 0..group.len() {
+            if group[start] != NONE || !is_taken(start) {
+                continue;
+            }
+            group[start] = count;
+            stack.push(start);
+            while let Some(cell) = stack.pop() {
+                for (x, y) in neighbourhood(cell % self.nx, cell / self.nx, self.nx, self.ny) {
+                    let next = y * self.nx + x;
+                    if group[next] == NONE && is_taken(next) {
+                        group[next] = count;
+                        stack.push(next);
+                    }
+                }
+            }
+            count += 1;
+        }
+        (group, count as usize)
+    }
+
+    /// Grows a set of cells by a distance, metres (at least one cell).
+    pub fn grown(&self, cells: Vec<bool>, by_m: f64) -> Vec<bool> {
+        let half = ((by_m / self.cell_m).round() as usize).max(1);
+        let values: Vec<f32> = cells.into_iter().map(|is_in| f32::from(u8::from(is_in))).collect();
+        extreme(&values, self.nx, self.ny, half, higher).into_iter().map(|v| v > 0.5).collect()
+    }
+
+    /// Slope across the 3 × 3 cells around `p`, metres per metre: large beside cliffs, small on roads and lawns.
+    pub fn steepness(&self, p: DVec3) -> f32 {
+        self.cell(p).map_or(0.0, |cell| (self.upper[cell] - self.height[cell]) / self.cell_m as f32)
     }
 
     /// Lowest corner per cell of the faces of tall, upright planes.
@@ -208,33 +250,16 @@ impl Ground {
     fn fill_pits(&self, mut low: Vec<f32>) -> Vec<f32> {
         let (nx, ny) = (self.nx, self.ny);
         let negated = |v: &[f32]| -> Vec<f32> { v.iter().map(|z| if z.is_finite() { -z } else { *z }).collect() };
-        let highest = extreme(&negated(&low), nx, ny, 2, f32::min);
-        let closed = extreme(&negated(&highest), nx, ny, 2, f32::min);
+        let highest = extreme(&negated(&low), nx, ny, 2, lower);
+        let closed = extreme(&negated(&highest), nx, ny, 2, lower);
         let is_pit = |z: f32, cell: usize| z.is_finite() && closed[cell] - z > PIT_DEPTH_M;
-        let limit = ((PIT_AREA_M2 / (self.cell_m * self.cell_m)) as usize).max(1);
-        let mut seen = vec![false; low.len()];
-        let mut group = Vec::new();
-        for start in 0..low.len() {
-            if seen[start] || !is_pit(low[start], start) {
-                continue;
-            }
-            group.clear();
-            group.push(start);
-            seen[start] = true;
-            let mut next = 0;
-            while next < group.len() {
-                let (i, j) = (group[next] % nx, group[next] / nx);
-                next += 1;
-                for (x, y) in neighbourhood(i, j, nx, ny) {
-                    let cell = y * nx + x;
-                    if !seen[cell] && is_pit(low[cell], cell) {
-                        seen[cell] = true;
-                        group.push(cell);
-                    }
-                }
-            }
-            if group.len() <= limit {
-                group.iter().for_each(|&cell| low[cell] = closed[cell]);
+        let limit = ((PIT_AREA_M2 / (self.cell_m * self.cell_m)) as u32).max(1);
+        let (group, groups) = self.groups(|cell| is_pit(low[cell], cell));
+        let mut sizes = vec![0u32; groups];
+        group.iter().filter(|g| **g != NONE).for_each(|g| sizes[*g as usize] += 1);
+        for (cell, g) in group.into_iter().enumerate() {
+            if g != NONE && sizes[g as usize] <= limit {
+                low[cell] = closed[cell];
             }
         }
         low
@@ -249,8 +274,8 @@ impl Ground {
         let mut eroded = surface.to_vec();
         for half in 1..=widest {
             // Eroding by one cell more each time is the same as eroding by a growing window.
-            eroded = extreme(&eroded, nx, ny, 1, f32::min);
-            let next = extreme(&eroded, nx, ny, half, f32::max);
+            eroded = extreme(&eroded, nx, ny, 1, lower);
+            let next = extreme(&eroded, nx, ny, half, higher);
             for cell in 0..next.len() {
                 is_object[cell] |= opened[cell] - next[cell] > allowed[cell];
             }
@@ -267,7 +292,7 @@ impl Ground {
         let smooth = mean(height, nx, ny, reach);
         let (gx, gy) = gradient(&smooth, nx, ny);
         let slope: Vec<f32> = gx.iter().zip(&gy).map(|(x, y)| x.hypot(*y) / self.cell_m as f32).collect();
-        extreme(&slope, nx, ny, reach, f32::max)
+        extreme(&slope, nx, ny, reach, higher)
     }
 
     /// The lowest point of a sloping cell lies on its rim; moves every height to what it is at the centre.
@@ -302,7 +327,7 @@ fn neighbourhood(i: usize, j: usize, nx: usize, ny: usize) -> impl Iterator<Item
 }
 
 /// Minimum or maximum over windows of (2 half + 1)² cells, cut off at the grid's rim. Infinite cells take part.
-fn extreme(z: &[f32], nx: usize, ny: usize, half: usize, pick: fn(f32, f32) -> f32) -> Vec<f32> {
+fn extreme(z: &[f32], nx: usize, ny: usize, half: usize, pick: impl Fn(f32, f32) -> f32 + Copy + Sync) -> Vec<f32> {
     let along_rows = |z: &[f32], nx: usize| -> Vec<f32> {
         let mut out = vec![0.0; z.len()];
         out.par_chunks_mut(nx).zip(z.par_chunks(nx)).for_each(|(out, row)| slide(row, out, half, pick));
@@ -312,8 +337,18 @@ fn extreme(z: &[f32], nx: usize, ny: usize, half: usize, pick: fn(f32, f32) -> f
     transposed(&along_rows(&turned, ny), ny, nx)
 }
 
+/// `f32::min` without its care for NaN, which the grid cannot hold: half the time.
+fn lower(a: f32, b: f32) -> f32 {
+    if b < a { b } else { a }
+}
+
+/// See [`lower`].
+fn higher(a: f32, b: f32) -> f32 {
+    if b > a { b } else { a }
+}
+
 /// Van Herk's running extreme: three picks a cell whatever the window.
-fn slide(row: &[f32], out: &mut [f32], half: usize, pick: fn(f32, f32) -> f32) {
+fn slide(row: &[f32], out: &mut [f32], half: usize, pick: impl Fn(f32, f32) -> f32 + Copy) {
     let (n, window) = (row.len(), 2 * half + 1);
     if window <= 7 || n <= window {
         for (i, out) in out.iter_mut().enumerate() {
@@ -427,7 +462,7 @@ mod tests {
         let row: Vec<f32> = (0..53).map(|i| ((i * 37) % 23) as f32).collect();
         for half in [1, 3, 4, 7, 11, 25, 26, 40] {
             let mut out = vec![0.0; row.len()];
-            slide(&row, &mut out, half, f32::min);
+            slide(&row, &mut out, half, lower);
             for i in 0..row.len() {
                 let around = &row[i.saturating_sub(half)..(i + half + 1).min(row.len())];
                 assert_eq!(out[i], around.iter().copied().fold(f32::INFINITY, f32::min), "half {half}, place {i}");

@@ -4,10 +4,12 @@
 //!
 //! # Method
 //! 1. `ground`: a height grid of the ground under buildings and trees; heights are above it.
-//! 2. `features`: per face height and uprightness; per plane area, texture, top, and how much of its rim drops.
+//! 2. `features`: per face height and uprightness; per plane area, texture, residual and top.
 //! 3. `rules`: products of sigmoids, one per class. A roof is planar, not upright, in the air; a façade planar,
 //!    upright, and its top is in the air (a cliff's is not); terrain is low; clutter is what is rough.
-//! 4. `smooth`: a mean field over neighbours, a vote per plane, islands dropped.
+//! 4. `smooth`: a mean field over neighbours, a vote per plane.
+//! 5. `context`: roofs that touch form a footprint with a free rim or are none; walls belong to buildings; what is
+//!    under or enclosed by a building is building; tiny patches join what is around them.
 //!
 //! # Numbers     see [`ClassesConfig`]
 //! # Promises    posteriors sum to 1 and the label is their argmax; same result for any number of threads; moving
@@ -24,6 +26,7 @@ use crate::mesh::{Mesh, topology};
 use crate::planes::{NONE, Planes};
 
 mod confusion;
+mod context;
 mod features;
 mod ground;
 mod rules;
@@ -86,6 +89,8 @@ pub struct ClassesConfig {
     pub vote_area_m2: f64,
     /// Patches of one class below this area join what surrounds them, m², ≥ 0. Default: 1.
     pub island_m2: f64,
+    /// The least footprint of a building, m², ≥ 0. Default: 10: a garage, not a van or a treetop's flat spot.
+    pub min_footprint_m2: f64,
 }
 
 impl Default for ClassesConfig {
@@ -102,6 +107,7 @@ impl Default for ClassesConfig {
             smoothing: 3.0,
             vote_area_m2: 4.0,
             island_m2: 1.0,
+            min_footprint_m2: 10.0,
         }
     }
 }
@@ -121,6 +127,7 @@ impl ClassesConfig {
             ("smoothing", self.smoothing, 0.0, 20.0),
             ("vote_area_m2", self.vote_area_m2, 0.0, 1e9),
             ("island_m2", self.island_m2, 0.0, 1e9),
+            ("min_footprint_m2", self.min_footprint_m2, 0.0, 1e9),
         ];
         let out = ranges.iter().filter(|(_, value, low, high)| !(low..=high).contains(&value));
         out.map(|(name, value, low, high)| format!("classes.{name} is {value}, wanted {low} to {high}")).collect()
@@ -139,14 +146,15 @@ pub fn label(mesh: &Mesh, planes: &Planes, scheme: &ClassScheme, config: &Classe
     assert!(!scheme.is_empty(), "a class scheme without classes passed its check");
     let neighbours = topology::face_neighbours(mesh);
     let ground = Ground::of(mesh, planes, config);
-    let features = features::Features::of(mesh, planes, &neighbours, &ground);
+    let features = features::Features::of(mesh, planes, &ground);
     let region = |f: usize| match planes.face_region[f] {
         NONE => None,
         r => Some(&features.regions[r as usize]),
     };
     let faces = (0..mesh.faces.len()).into_par_iter().with_min_len(4096);
     let unary = faces.map(|f| rules::scores(&features, f, region(f), config)).collect();
-    let field = smooth::smooth(mesh, planes, &neighbours, config, unary);
+    let mut field = smooth::smooth(mesh, planes, &neighbours, config, unary);
+    context::revise(mesh, planes, &neighbours, &ground, config, &mut field);
 
     let (count, place) = (scheme.len(), places(scheme));
     let mut posterior = vec![0.0f32; field.len() * count];

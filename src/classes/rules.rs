@@ -12,6 +12,11 @@ pub type Scores = [f32; 4];
 /// Least score of a class: no rule is so sure that neighbours could not overrule it.
 const FLOOR: f32 = 0.02;
 
+/// Residual over the root of the area where a plane stops to be one.
+const BENT: f32 = 0.018;
+/// z of the normal of the steepest roof, a spire's: 65°.
+const STEEPEST_ROOF: f32 = 0.42;
+
 /// 0 far below `at`, 1 far above; `width` is the distance over which it goes from 0.27 to 0.73.
 fn above(x: f32, at: f32, width: f32) -> f32 {
     1.0 / (1.0 + (-2.0 * (x - at) / width).exp())
@@ -24,26 +29,36 @@ pub fn scores(features: &Features, f: usize, region: Option<&RegionFeatures>, co
     let high = above(height, config.high_m as f32, 0.7);
     let between = (1.0 - low - high).max(0.0);
     let flat = features.normal_z[f].abs();
+    // A steep face on level ground is the side of something small: a car, a hedge, a trunk.
+    let steep = 1.0 - above(flat, 0.5, 0.2);
+    let aside = steep * (1.0 - above(features.ground_slope[f], 0.5, 0.3));
     let mut scores = match region {
         Some(r) => {
             let smooth = 1.0 - above(r.spread, config.foliage_spread as f32, 0.06);
             let large = 1.0 - (-r.area_m2 / config.area_scale_m2 as f32).exp();
-            let planar = smooth * (0.25 + 0.75 * large);
+            // Noise grows with neither side of a plane; what bends departs in proportion to its size.
+            let flatness = 1.0 - above(r.rms_m / r.area_m2.sqrt().max(1e-3), BENT, 0.008);
+            // A plane through k rough faces is evidence in proportion to k; one without residual is at once.
+            let evident = 1.0 - (-(r.faces as f32) / 20.0).exp() * above(r.rms_m, 0.02, 0.01);
+            let planar = smooth * flatness * evident * (0.25 + 0.75 * large);
             let upright = 1.0 - above(r.normal_z.abs(), config.upright_deg.to_radians().sin() as f32, 0.06);
             // A wall stands free: its top is in the air. A cliff's top is ground.
             let free = above(r.top_m, config.wall_height_m as f32, 0.6);
-            let rim = 0.7 + 0.3 * above(r.drop, 0.25, 0.2);
             [
-                low * (1.0 - upright * free) * (0.5 + 0.5 * planar),
+                low * (1.0 - upright * free) * (0.5 + 0.5 * planar) * (1.0 - aside),
                 planar * upright * free,
-                planar * (1.0 - upright) * high * rim,
-                (1.0 - planar) * (1.0 - low) + between * (1.0 - upright) + 0.3 * (1.0 - planar) * low * (1.0 - flat),
+                planar * above(r.normal_z, STEEPEST_ROOF, 0.12) * high,
+                (1.0 - planar) * (1.0 - low)
+                    + between * (1.0 - upright)
+                    + low * aside * (1.0 - planar * upright * free),
             ]
         }
-        None => {
-            let steep = 1.0 - above(flat, 0.4, 0.2);
-            [low * (1.0 - 0.5 * steep), 0.15 * steep * (1.0 - low), 0.1 * (1.0 - steep) * high, (1.0 - low) * 0.75]
-        }
+        None => [
+            low * (1.0 - aside),
+            0.15 * steep * (1.0 - low),
+            0.1 * (1.0 - steep) * high,
+            (1.0 - low) * 0.75 + low * aside,
+        ],
     };
     let sum: f32 = scores.iter().sum::<f32>() + 4.0 * FLOOR;
     scores.iter_mut().for_each(|s| *s = (*s + FLOOR) / sum);

@@ -1,4 +1,4 @@
-//! Neighbours agree: a mean field over face adjacency, a vote per plane, and the end of small islands.
+//! Neighbours agree: a mean field over face adjacency, then a vote per plane.
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -21,7 +21,6 @@ pub fn smooth(
 ) -> Vec<Scores> {
     let mut field = mean_field(mesh, planes, neighbours, config.smoothing as f32, unary);
     vote(mesh, planes, config, &mut field);
-    drop_islands(mesh, neighbours, config.island_m2, &mut field);
     field
 }
 
@@ -77,49 +76,6 @@ fn vote(mesh: &Mesh, planes: &Planes, config: &ClassesConfig, field: &mut [Score
         if let Some(r) = region(f) {
             *scores = ballots[r].map(|v| v as f32);
             normalise(scores);
-        }
-    }
-}
-
-/// Patches of one class smaller than `island_m2` take the class that surrounds them most.
-fn drop_islands(mesh: &Mesh, neighbours: &[[u32; 3]], island_m2: f64, field: &mut [Scores]) {
-    let label: Vec<u8> = field.iter().map(|s| best(s) as u8).collect();
-    let mut seen = vec![false; label.len()];
-    let mut patch: Vec<u32> = Vec::new();
-    for start in 0..label.len() {
-        if seen[start] {
-            continue;
-        }
-        let own = label[start];
-        patch.clear();
-        patch.push(start as u32);
-        seen[start] = true;
-        let (mut area, mut rim, mut next) = (0.0, [0.0f64; 4], 0);
-        while next < patch.len() {
-            let f = patch[next] as usize;
-            next += 1;
-            area += 0.5 * mesh.cross(f).length();
-            let corners = mesh.corners(f);
-            for k in 0..3 {
-                let g = neighbours[f][k];
-                if g == NONE {
-                    continue;
-                }
-                let g = g as usize;
-                if label[g] != own {
-                    rim[label[g] as usize] += corners[k].distance(corners[(k + 1) % 3]);
-                } else if !seen[g] {
-                    seen[g] = true;
-                    patch.push(g as u32);
-                }
-            }
-        }
-        let around = (0..4).fold(0, |a, c| if rim[c] > rim[a] { c } else { a });
-        if area < island_m2 && rim[around] > 0.0 {
-            for &f in &patch {
-                // The face keeps its doubts: the two classes trade places.
-                field[f as usize].swap(around, own as usize);
-            }
         }
     }
 }

@@ -1,0 +1,250 @@
+//! Second thoughts: what the neighbourhood says about a patch that its own faces cannot know.
+//!
+//! 1. Roofs that touch in plan are one building. It has a minimal footprint, and its rim ends in the air: beyond it
+//!    the surface is down near the ground. A hill's top slopes away instead.
+//! 2. A wall belongs to a building, or is large enough to be the rest of one that was not captured.
+//! 3. What lies under a roof, or is enclosed by roofs and walls, belongs to the building: balconies, dormers,
+//!    parapets, recesses. What is tiny belongs to what is around it.
+
+use glam::DVec3;
+
+use super::ClassesConfig;
+use super::ground::Ground;
+use super::rules::Scores;
+use super::smooth::best;
+use crate::mesh::Mesh;
+use crate::planes::{NONE, Planes};
+
+const TERRAIN: usize = 0;
+const FACADE: usize = 1;
+const ROOF: usize = 2;
+const CLUTTER: usize = 3;
+
+/// How far beyond a rim one looks, metres: past a gutter, a rounded edge.
+const BEYOND_RIM_M: f64 = 1.5;
+/// Share of a rim's height above ground to which the surface beyond must fall.
+const FALL: f32 = 0.5;
+/// Share of its rim at which a building must end in the air; trees and neighbours may hide the rest.
+const FREE_RIM: f64 = 0.25;
+/// A wall farther than this from every building must stand for itself, metres.
+const NEAR_M: f64 = 3.0;
+/// A wall that stands for itself has at least this many times the least footprint.
+const LONE_WALL: f64 = 3.0;
+/// Share of a patch's rim on roofs and walls that makes it part of the building.
+const ENCLOSED: f64 = 0.8;
+/// A patch above this many times the least footprint is not enclosed, whatever its rim.
+const ENCLOSED_AREA: f64 = 5.0;
+/// Clearance under a roof's surface where walls begin, metres.
+const UNDER_ROOF_M: f64 = 0.5;
+
+/// Revises the scores in place.
+pub fn revise(
+    mesh: &Mesh,
+    planes: &Planes,
+    neighbours: &[[u32; 3]],
+    ground: &Ground,
+    config: &ClassesConfig,
+    field: &mut [Scores],
+) {
+    let footprints = Footprints::of(mesh, neighbours, ground, config, field);
+    judge_roofs(mesh, ground, &footprints, field);
+    judge_walls(mesh, planes, ground, config, &footprints, field);
+    shelter(mesh, ground, &footprints, field);
+    settle_patches(mesh, neighbours, config, field);
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Verdict {
+    Building,
+    Hill,
+    TooSmall,
+}
+
+/// Cells under roofs, grouped by touching.
+struct Footprints {
+    /// Group per cell, `NONE` outside.
+    group: Vec<u32>,
+    /// Highest roof per cell, absolute z.
+    top: Vec<f64>,
+    verdicts: Vec<Verdict>,
+}
+
+impl Footprints {
+    fn of(mesh: &Mesh, neighbours: &[[u32; 3]], ground: &Ground, config: &ClassesConfig, field: &[Scores]) -> Self {
+        let mut top = vec![f64::NEG_INFINITY; ground.cells()];
+        for f in (0..field.len()).filter(|f| best(&field[*f]) == ROOF) {
+            ground.for_cells(mesh.corners(f), |cell, z| top[cell] = top[cell].max(z));
+        }
+        let (group, groups) = ground.groups(|cell| top[cell].is_finite());
+        // Per group: footprint, rim that is known, rim that ends in the air.
+        let mut sums = vec![[0.0f64; 3]; groups];
+        for f in (0..field.len()).filter(|f| best(&field[*f]) == ROOF) {
+            let Some(own) = group_at(ground, &group, centre(mesh, f)) else { continue };
+            let sum = &mut sums[own as usize];
+            sum[0] += 0.5 * mesh.cross(f).z.abs();
+            for (edge, beyond) in rim(mesh, neighbours, f, |g| best(&field[g]) == ROOF) {
+                let Some(drop) = ground.drop_below(beyond) else { continue };
+                if group_at(ground, &group, beyond) == Some(own) {
+                    continue;
+                }
+                let height = ground.height_above((edge[0] + edge[1]) / 2.0);
+                let length = edge[0].distance(edge[1]);
+                sum[1] += length;
+                sum[2] += if height - drop < FALL * height { length } else { 0.0 };
+            }
+        }
+        let verdict = |[area, known, free]: [f64; 3]| {
+            if area < config.min_footprint_m2 {
+                Verdict::TooSmall
+            } else if free < FREE_RIM * known {
+                Verdict::Hill
+            } else {
+                Verdict::Building
+            }
+        };
+        Self { group, top, verdicts: sums.into_iter().map(verdict).collect() }
+    }
+
+    fn verdict(&self, ground: &Ground, p: DVec3) -> Option<Verdict> {
+        group_at(ground, &self.group, p).map(|g| self.verdicts[g as usize])
+    }
+}
+
+fn group_at(ground: &Ground, group: &[u32], p: DVec3) -> Option<u32> {
+    ground.cell(p).map(|cell| group[cell]).filter(|g| *g != NONE)
+}
+
+fn centre(mesh: &Mesh, f: usize) -> DVec3 {
+    let [a, b, c] = mesh.corners(f);
+    (a + b + c) / 3.0
+}
+
+/// Edges of a face behind which `is_same` does not hold, each with a point beyond it at the edge's height.
+fn rim<'a>(
+    mesh: &'a Mesh,
+    neighbours: &'a [[u32; 3]],
+    f: usize,
+    is_same: impl Fn(usize) -> bool + 'a,
+) -> impl Iterator<Item = ([DVec3; 2], DVec3)> + 'a {
+    let (corners, middle) = (mesh.corners(f), centre(mesh, f));
+    let open = (0..3).filter(move |&k| neighbours[f][k] == NONE || !is_same(neighbours[f][k] as usize));
+    open.map(move |k| {
+        let edge = [corners[k], corners[(k + 1) % 3]];
+        let halfway = (edge[0] + edge[1]) / 2.0;
+        let mut out = (edge[1] - edge[0]).truncate().perp().normalize_or_zero();
+        if out.dot((halfway - middle).truncate()) < 0.0 {
+            out = -out;
+        }
+        (edge, halfway + BEYOND_RIM_M * out.extend(0.0))
+    })
+}
+
+/// Roofs of hills become terrain, roofs of nothing clutter. The face keeps its doubts: two classes trade places.
+fn judge_roofs(mesh: &Mesh, ground: &Ground, footprints: &Footprints, field: &mut [Scores]) {
+    for f in 0..field.len() {
+        if best(&field[f]) != ROOF {
+            continue;
+        }
+        match footprints.verdict(ground, centre(mesh, f)) {
+            Some(Verdict::Building) => {}
+            Some(Verdict::Hill) => field[f].swap(ROOF, TERRAIN),
+            Some(Verdict::TooSmall) | None => field[f].swap(ROOF, CLUTTER),
+        }
+    }
+}
+
+/// Small walls far from any building become clutter, region by region.
+fn judge_walls(
+    mesh: &Mesh,
+    planes: &Planes,
+    ground: &Ground,
+    config: &ClassesConfig,
+    footprints: &Footprints,
+    field: &mut [Scores],
+) {
+    let is_building = |group: &u32| *group != NONE && footprints.verdicts[*group as usize] == Verdict::Building;
+    let near = ground.grown(footprints.group.iter().map(is_building).collect(), NEAR_M);
+    let mut beside = vec![0.0f64; planes.regions.len()];
+    let is_wall = |field: &[Scores], f: usize| best(&field[f]) == FACADE;
+    let is_near = |f: usize| ground.cell(centre(mesh, f)).is_some_and(|cell| near[cell]);
+    for f in 0..field.len() {
+        if planes.face_region[f] != NONE && is_wall(field, f) && is_near(f) {
+            beside[planes.face_region[f] as usize] += 0.5 * mesh.cross(f).length();
+        }
+    }
+    for f in 0..field.len() {
+        if !is_wall(field, f) {
+            continue;
+        }
+        let stands = match planes.face_region[f] {
+            NONE => is_near(f),
+            r => {
+                let area = planes.regions[r as usize].area_m2;
+                beside[r as usize] > 0.2 * area || area > LONE_WALL * config.min_footprint_m2
+            }
+        };
+        if !stands {
+            field[f].swap(FACADE, CLUTTER);
+        }
+    }
+}
+
+/// Clutter under a building's roof is its wall.
+fn shelter(mesh: &Mesh, ground: &Ground, footprints: &Footprints, field: &mut [Scores]) {
+    for f in 0..field.len() {
+        let p = centre(mesh, f);
+        if best(&field[f]) == CLUTTER
+            && footprints.verdict(ground, p) == Some(Verdict::Building)
+            && ground.cell(p).is_some_and(|cell| p.z < footprints.top[cell] - UNDER_ROOF_M)
+        {
+            field[f].swap(CLUTTER, FACADE);
+        }
+    }
+}
+
+/// Gives enclosed clutter to the building and tiny patches of any class to what is around them.
+fn settle_patches(mesh: &Mesh, neighbours: &[[u32; 3]], config: &ClassesConfig, field: &mut [Scores]) {
+    let label: Vec<u8> = field.iter().map(|s| best(s) as u8).collect();
+    let mut seen = vec![false; label.len()];
+    let mut patch: Vec<u32> = Vec::new();
+    for start in 0..label.len() {
+        if seen[start] {
+            continue;
+        }
+        let own = label[start];
+        patch.clear();
+        patch.push(start as u32);
+        seen[start] = true;
+        let (mut area, mut rim, mut next) = (0.0, [0.0f64; 4], 0);
+        while next < patch.len() {
+            let f = patch[next] as usize;
+            next += 1;
+            area += 0.5 * mesh.cross(f).length();
+            let corners = mesh.corners(f);
+            for (k, &g) in neighbours[f].iter().enumerate().filter(|(_, g)| **g != NONE) {
+                let g = g as usize;
+                if label[g] != own {
+                    rim[label[g] as usize] += corners[k].distance(corners[(k + 1) % 3]);
+                } else if !seen[g] {
+                    seen[g] = true;
+                    patch.push(g as u32);
+                }
+            }
+        }
+        let strongest = |of: &[usize]| of.iter().copied().reduce(|a, c| if rim[c] > rim[a] { c } else { a });
+        let (building, whole) = (rim[FACADE] + rim[ROOF], rim.iter().sum::<f64>());
+        let into = if area < config.island_m2 {
+            strongest(&[TERRAIN, FACADE, ROOF, CLUTTER])
+        } else if usize::from(own) == CLUTTER
+            && area < ENCLOSED_AREA * config.min_footprint_m2
+            && building > ENCLOSED * whole
+        {
+            strongest(&[FACADE, ROOF])
+        } else {
+            None
+        };
+        if let Some(class) = into.filter(|c| rim[*c] > 0.0) {
+            patch.iter().for_each(|&f| field[f as usize].swap(class, usize::from(own)));
+        }
+    }
+}

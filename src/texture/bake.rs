@@ -112,7 +112,7 @@ fn place(tile: &Surface, charts: &[Chart], origins: &[[u32; 2]], texel_m: f64, a
             corner_uvs[f as usize] = at.map(|at| (at / size).as_vec2());
         }
     }
-    Baked { corner_uvs, atlas, texel_m: rms_texel_m(areas.into_iter()) }
+    Baked { corner_uvs, atlas, texel_m: rms_texel_m(&areas) }
 }
 
 struct Baker<'a> {
@@ -141,9 +141,7 @@ impl Baker<'_> {
             let extent = [0, 1].map(|i| (size[i] - low[i]).min(BLOCK));
             let view = view.moved(low);
             let Some(range) = self.block.draw_tile(self.tile, bin.iter().map(|b| b.1), &view, extent) else { continue };
-            let (min, max) = view.box_around(range, self.search_m);
-            let (block, surface, search_m) = (&mut self.block, &self.source.surface, self.search_m);
-            self.source.bvh.overlapping(min, max, &mut |f| block.draw_source(surface, f, &view, search_m as f32));
+            self.block.find_source(self.source, &view, range, self.search_m);
             painted += self.shade(&view, [0, 1].map(|i| at[i] + low[i] / self.samples));
         }
         if painted == 0 {
@@ -366,6 +364,21 @@ impl Block {
             }
         }
         (range.low.x < range.high.x).then_some(range)
+    }
+
+    /// Draws the source's faces up to `search_m` away; close by at first, which mostly suffices and is much cheaper.
+    fn find_source(&mut self, source: &BakeSource, view: &View, range: Range, search_m: f64) {
+        const CLOSE: f64 = 1.0 / 8.0;
+        for reach_m in [search_m * CLOSE, search_m] {
+            let (min, max) = view.box_around(range, reach_m);
+            source.bvh.overlapping(min, max, &mut |f| self.draw_source(&source.surface, f, view, reach_m as f32));
+            let own = self.depth.iter().filter(|depth| !depth.is_nan()).count();
+            let found = self.face.iter().filter(|&&face| face != NONE).count();
+            // The rest is cheaper to look up one by one.
+            if found * 8 >= own * 7 {
+                break;
+            }
+        }
     }
 
     /// Offers a face of the source to the samples it covers.

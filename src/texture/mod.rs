@@ -186,13 +186,25 @@ impl TextureConfig {
     }
 }
 
-/// Area-weighted RMS of metres per texel over `(area_m2, area_px)` of faces.
+/// Area-weighted RMS of metres per texel over `(area_m2, area_px)` of faces; 0 without area.
 ///
-/// A face counts as at least a quarter of a texel: it shows one colour however small its UVs are.
-fn rms_texel_m(faces: impl Iterator<Item = (f64, f64)>) -> f64 {
-    const MIN_AREA_PX: f64 = 0.25;
-    let (sum, area) = faces.fold((0.0, 0.0), |(sum, area), (m2, px)| (sum + m2 * m2 / px.max(MIN_AREA_PX), area + m2));
-    if area > 0.0 { f64::sqrt(sum / area) } else { 0.0 }
+/// A face counts as at most 8 times coarser than the whole: the few whose UVs have no area would make it infinite.
+fn rms_texel_m(faces: &[(f64, f64)]) -> f64 {
+    const MAX_OUTLIER_SQUARED: f64 = 64.0;
+    // For tiles that have no texel area at all: one constant colour a face.
+    const MIN_FACE_PX: f64 = 0.25;
+    let area_m2: f64 = faces.iter().map(|face| face.0).sum();
+    let area_px: f64 = faces.iter().map(|face| face.1).sum();
+    if area_m2 <= 0.0 {
+        return 0.0;
+    }
+    if area_px <= 0.0 {
+        return (area_m2 / (MIN_FACE_PX * faces.len() as f64)).sqrt();
+    }
+    let most = MAX_OUTLIER_SQUARED * area_m2 / area_px;
+    // 0 / 0 is NaN, which `min` turns into the other.
+    let sum: f64 = faces.iter().map(|&(m2, px)| m2 * (m2 / px).min(most)).sum();
+    (sum / area_m2).sqrt()
 }
 
 #[cfg(test)]
@@ -211,8 +223,13 @@ mod tests {
     #[test]
     fn texel_size_is_weighted_by_area() {
         // 3 m² at 1 m a texel and 1 m² at 2 m a texel: sqrt((3·1 + 1·4) / 4).
-        let size = rms_texel_m([(3.0, 3.0), (1.0, 0.25)].into_iter());
+        let size = rms_texel_m(&[(3.0, 3.0), (1.0, 0.25)]);
         assert!((size - (7.0_f64 / 4.0).sqrt()).abs() < 1e-12);
-        assert_eq!(rms_texel_m(std::iter::empty()), 0.0);
+        // The scale of the numbers does not matter, faces far smaller than a texel included.
+        let small = rms_texel_m(&[(3e-6, 3e-6), (1e-6, 0.25e-6)]);
+        assert!((size - small).abs() < 1e-12);
+        assert_eq!([rms_texel_m(&[]), rms_texel_m(&[(0.0, 1.0)])], [0.0; 2]);
+        assert!(rms_texel_m(&[(9.0, 9.0), (1.0, 0.0), (0.0, 0.0)]) < 4.0);
+        assert_eq!(rms_texel_m(&[(1.0, 0.0)]), 2.0);
     }
 }

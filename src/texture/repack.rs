@@ -337,7 +337,7 @@ impl Places<'_> {
             sizes.push((tile.area_m2(f), (texels[1] - texels[0]).perp_dot(texels[2] - texels[0]).abs() / 2.0));
             corner_uvs.push(texels.map(|at| (at / atlas_size).as_vec2()));
         }
-        Baked { corner_uvs, atlas, texel_m: rms_texel_m(sizes.into_iter()) }
+        Baked { corner_uvs, atlas, texel_m: rms_texel_m(&sizes) }
     }
 }
 

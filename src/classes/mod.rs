@@ -15,7 +15,9 @@
 //! # Promises    posteriors sum to 1 and the label is their argmax; same result for any number of threads; moving
 //!               the mesh moves nothing else
 //! # Limits      see `ground`; colour is not looked at, so a clipped hedge is a wall
-//! # References  RESEARCH: product rules over superfacets, mean field, region vote. The paper's energies (Eq. 9
+//! # Cost        measured 0.9 µs a face on one thread of a busy machine (765 k faces), more where the ground grid has
+//!               more cells than the mesh has faces; memory counted, not measured: about 100 bytes a face
+//! # References  Verdie, Lafarge, Alliez, LOD generation for urban scenes, 2015. The paper's energies (Eq. 9
 //!               to 15) come as a variant of their own.
 
 use rayon::prelude::*;
@@ -29,6 +31,7 @@ mod confusion;
 mod context;
 mod features;
 mod ground;
+mod raster;
 mod rules;
 mod smooth;
 
@@ -175,3 +178,6 @@ fn places(scheme: &ClassScheme) -> [usize; 4] {
         find(&["clutter", "vegetation"]),
     ]
 }
+
+#[cfg(test)]
+mod tests;

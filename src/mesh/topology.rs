@@ -4,7 +4,7 @@
 //!
 //! # Method      counting sort of half-edges by their smaller vertex, then a sort inside each (small) bucket
 //! # Promises    deterministic; worst case O(n log n) even for fans of a million faces
-//! # Cost        about 0.1 s and 40 bytes (12 of them kept) per million faces and face
+//! # Cost        linear; 24 bytes a face while it runs, 12 of them kept (counted)
 
 use super::Mesh;
 
@@ -14,7 +14,7 @@ pub const NONE: u32 = u32::MAX;
 /// Per face, the face behind each edge; edge `k` runs from corner `k` to corner `k + 1`.
 ///
 /// [`NONE`] on borders and on non-manifold edges. The two faces of an edge are neighbours even when their
-/// orientations disagree. The relation is symmetric.
+/// orientations disagree. The relation is symmetric. Meshes of up to 1.4 billion faces.
 pub fn face_neighbours(mesh: &Mesh) -> Vec<[u32; 3]> {
     let faces = &mesh.faces;
     let ends = |half_edge: u32| {

@@ -1,0 +1,182 @@
+//! Operations on height grids: running extremes, means, gradients, filling. Row-major, `nx` × `ny` cells.
+
+use rayon::prelude::*;
+
+/// Height differences per cell along x and y: the gentler of both sides', zero at the bottom of a valley.
+pub fn gradient(z: &[f32], nx: usize, ny: usize) -> (Vec<f32>, Vec<f32>) {
+    let gentler = |a: f32, b: f32| {
+        let is_valley = a < 0.0 && b > 0.0;
+        if is_valley { 0.0 } else { a.abs().min(b.abs()) }
+    };
+    let one = |cell: usize, at: usize, n: usize, step: usize| {
+        let before = if at > 0 { Some(z[cell] - z[cell - step]) } else { None };
+        let after = if at + 1 < n { Some(z[cell + step] - z[cell]) } else { None };
+        match (before, after) {
+            (Some(a), Some(b)) => gentler(a, b),
+            (a, b) => a.or(b).unwrap_or(0.0).abs(),
+        }
+    };
+    let all = |of: &(dyn Fn(usize) -> f32 + Sync)| (0..z.len()).into_par_iter().with_min_len(4096).map(of).collect();
+    (all(&|cell| one(cell, cell % nx, nx, 1)), all(&|cell| one(cell, cell / nx, ny, nx)))
+}
+
+pub fn neighbourhood(i: usize, j: usize, nx: usize, ny: usize) -> impl Iterator<Item = (usize, usize)> {
+    let (xs, ys) = (i.saturating_sub(1)..(i + 2).min(nx), j.saturating_sub(1)..(j + 2).min(ny));
+    ys.flat_map(move |y| xs.clone().map(move |x| (x, y)))
+}
+
+/// Minimum or maximum over windows of (2 half + 1)² cells, cut off at the grid's rim. Infinite cells take part.
+pub fn extreme(z: &[f32], nx: usize, ny: usize, half: usize, pick: impl Fn(f32, f32) -> f32 + Copy + Sync) -> Vec<f32> {
+    let along_rows = |z: &[f32], nx: usize| -> Vec<f32> {
+        let mut out = vec![0.0; z.len()];
+        out.par_chunks_mut(nx).zip(z.par_chunks(nx)).for_each(|(out, row)| slide(row, out, half, pick));
+        out
+    };
+    let turned = transposed(&along_rows(z, nx), nx, ny);
+    transposed(&along_rows(&turned, ny), ny, nx)
+}
+
+/// `f32::min` without its care for NaN, which the grid cannot hold: half the time.
+pub fn lower(a: f32, b: f32) -> f32 {
+    if b < a { b } else { a }
+}
+
+/// See [`lower`].
+pub fn higher(a: f32, b: f32) -> f32 {
+    if b > a { b } else { a }
+}
+
+/// Van Herk's running extreme: three picks a cell whatever the window.
+fn slide(row: &[f32], out: &mut [f32], half: usize, pick: impl Fn(f32, f32) -> f32 + Copy) {
+    let (n, window) = (row.len(), 2 * half + 1);
+    if window <= 7 || n <= window {
+        for (i, out) in out.iter_mut().enumerate() {
+            let around = &row[i.saturating_sub(half)..(i + half + 1).min(n)];
+            *out = around.iter().copied().reduce(pick).unwrap_or(row[i]);
+        }
+        return;
+    }
+    // `ahead[i]`: extreme from the start of i's block to i; `back[i]`: from i to the end of its block.
+    let (mut ahead, mut back) = (row.to_vec(), row.to_vec());
+    for i in 1..n {
+        if i % window != 0 {
+            ahead[i] = pick(ahead[i - 1], row[i]);
+        }
+    }
+    for i in (0..n - 1).rev() {
+        if (i + 1) % window != 0 {
+            back[i] = pick(back[i + 1], row[i]);
+        }
+    }
+    for (i, out) in out.iter_mut().enumerate() {
+        let (first, last) = (i.saturating_sub(half), (i + half).min(n - 1));
+        // A window cut off at the rim may lie inside one block; there the prefix (or suffix) alone is right.
+        *out = if i < half {
+            ahead[last]
+        } else if last / window == first / window {
+            if last == n - 1 { back[first] } else { ahead[last] }
+        } else {
+            pick(back[first], ahead[last])
+        };
+    }
+}
+
+fn transposed(z: &[f32], nx: usize, ny: usize) -> Vec<f32> {
+    let mut out = vec![0.0; z.len()];
+    out.par_chunks_mut(ny).enumerate().for_each(|(i, column)| {
+        column.iter_mut().enumerate().for_each(|(j, out)| *out = z[j * nx + i]);
+    });
+    out
+}
+
+/// Mean over windows of (2 half + 1)² cells, cut off at the rim.
+pub fn mean(z: &[f32], nx: usize, ny: usize, half: usize) -> Vec<f32> {
+    let along_rows = |z: &[f32], nx: usize| -> Vec<f32> {
+        let mut out = vec![0.0; z.len()];
+        out.par_chunks_mut(nx).zip(z.par_chunks(nx)).for_each(|(out, row)| {
+            for (i, out) in out.iter_mut().enumerate() {
+                let around = &row[i.saturating_sub(half)..(i + half + 1).min(row.len())];
+                *out = around.iter().sum::<f32>() / around.len() as f32;
+            }
+        });
+        out
+    };
+    let turned = transposed(&along_rows(z, nx), nx, ny);
+    transposed(&along_rows(&turned, ny), ny, nx)
+}
+
+/// Interpolates infinite cells: averages go up a pyramid, come down bilinearly and are relaxed towards a membrane.
+pub fn fill(z: Vec<f32>, nx: usize, ny: usize) -> Vec<f32> {
+    if z.iter().all(|v| v.is_finite()) {
+        return z;
+    }
+    if nx * ny == 1 {
+        return vec![0.0];
+    }
+    let (cx, cy) = (nx.div_ceil(2), ny.div_ceil(2));
+    let mut coarse = vec![f32::INFINITY; cx * cy];
+    for (cell, out) in coarse.iter_mut().enumerate() {
+        let (i, j) = (2 * (cell % cx), 2 * (cell / cx));
+        let four = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)];
+        let known = four.iter().filter(|(x, y)| *x < nx && *y < ny).map(|(x, y)| z[y * nx + x]);
+        let (sum, n) = known.filter(|v| v.is_finite()).fold((0.0, 0), |(s, n), v| (s + v, n + 1));
+        if n > 0 {
+            *out = sum / n as f32;
+        }
+    }
+    let coarse = fill(coarse, cx, cy);
+    let holes: Vec<usize> = (0..z.len()).filter(|&cell| !z[cell].is_finite()).collect();
+    let mut out = z;
+    for &cell in &holes {
+        let at = |p: usize, n: usize| {
+            let q = (p as f32 - 0.5) / 2.0;
+            let q = q.clamp(0.0, (n - 1) as f32);
+            (q as usize, (q as usize + 1).min(n - 1), q.fract())
+        };
+        let ((i, k, u), (j, l, v)) = (at(cell % nx, cx), at(cell / nx, cy));
+        let lower = coarse[j * cx + i] * (1.0 - u) + coarse[j * cx + k] * u;
+        let upper = coarse[l * cx + i] * (1.0 - u) + coarse[l * cx + k] * u;
+        out[cell] = lower * (1.0 - v) + upper * v;
+    }
+    // Gauss-Seidel in cell order: deterministic, and the pyramid leaves only short waves to smooth.
+    for _ in 0..12 {
+        for &cell in &holes {
+            let (i, j) = (cell % nx, cell / nx);
+            let left = out[if i > 0 { cell - 1 } else { cell }];
+            let right = out[if i + 1 < nx { cell + 1 } else { cell }];
+            let below = out[if j > 0 { cell - nx } else { cell }];
+            let above = out[if j + 1 < ny { cell + nx } else { cell }];
+            out[cell] = 0.25 * (left + right + below + above);
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_running_minimum_agrees_with_the_plain_one() {
+        let row: Vec<f32> = (0..53).map(|i| ((i * 37) % 23) as f32).collect();
+        for half in [1, 3, 4, 7, 11, 25, 26, 40] {
+            let mut out = vec![0.0; row.len()];
+            slide(&row, &mut out, half, lower);
+            for i in 0..row.len() {
+                let around = &row[i.saturating_sub(half)..(i + half + 1).min(row.len())];
+                assert_eq!(out[i], around.iter().copied().fold(f32::INFINITY, f32::min), "half {half}, place {i}");
+            }
+        }
+    }
+
+    #[test]
+    fn holes_in_a_ramp_are_filled_with_the_ramp() {
+        let (nx, ny) = (40, 30);
+        let ramp: Vec<f32> = (0..nx * ny).map(|c| 0.5 * (c % nx) as f32).collect();
+        let inside = |c: usize| (10..25).contains(&(c % nx)) && (8..20).contains(&(c / nx));
+        let holed = (0..nx * ny).map(|c| if inside(c) { f32::INFINITY } else { ramp[c] }).collect();
+        let filled = fill(holed, nx, ny);
+        let worst = filled.iter().zip(&ramp).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        assert!(worst < 0.5, "{worst}");
+    }
+}

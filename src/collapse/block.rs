@@ -63,6 +63,15 @@ struct Facet {
     area: f64,
 }
 
+/// How many faces a vertex shares with the ends of the edge under test; valid while `stamp` is the run's.
+#[derive(Clone, Copy, Default)]
+struct Mark {
+    stamp: u32,
+    of_u: u16,
+    of_v: u16,
+    of_both: u16,
+}
+
 /// The running state behind [`Block::collapse`].
 struct Run<'a> {
     block: Block<'a>,
@@ -74,7 +83,7 @@ struct Run<'a> {
     sample_head: Vec<u32>,
     sample_next: Vec<u32>,
     queue: Queue,
-    mark: Vec<u32>,
+    mark: Vec<Mark>,
     stamp: u32,
     star: Vec<Corner>,
     moved: Vec<(u32, u32)>,
@@ -116,7 +125,7 @@ impl<'a> Run<'a> {
             sample_head: vec![NONE; faces],
             sample_next: vec![NONE; block.samples.len()],
             queue: Queue::new(),
-            mark: vec![0; vertices],
+            mark: vec![Mark::default(); vertices],
             stamp: 0,
             star: Vec::new(),
             moved: Vec::new(),
@@ -258,23 +267,27 @@ impl<'a> Run<'a> {
         }
     }
 
-    /// The link condition (Dey et al., Topology preserving edge contraction, 1999): the ends share no neighbour but
-    /// across their common faces, no two faces fold onto each other, and no border is pinched.
+    /// What is left of the link condition (Dey et al., Topology preserving edge contraction, 1999) on meshes that are
+    /// full of holes and already non-manifold: no edge may end up with more faces than two or than it had, no two faces
+    /// may fold onto each other. So small holes close and strips pinch instead of stopping everything around them.
     fn link_allows(&mut self, u: u32, v: u32) -> bool {
         self.stamp += 1;
-        let stamp = self.stamp;
         let mut shared = 0;
         let mut corner = self.head[u as usize];
         while corner != NONE {
             let face = self.block.faces[corner as usize / 3];
-            if face[0] != NONE {
-                shared += u32::from(face.contains(&v));
-                face.iter().for_each(|&w| self.mark[w as usize] = stamp);
-            }
             corner = self.next[corner as usize];
+            if face[0] == NONE {
+                continue;
+            }
+            shared += u32::from(face.contains(&v));
+            for w in face {
+                let mark = &mut self.mark[w as usize];
+                *mark = if mark.stamp == self.stamp { *mark } else { Mark { stamp: self.stamp, ..Mark::default() } };
+                mark.of_u += 1;
+            }
         }
-        let border = self.block.flags[u as usize] & self.block.flags[v as usize] & BORDER != 0;
-        if shared == 0 || (border && shared > 1) {
+        if shared == 0 {
             return false;
         }
         self.ring.clear();
@@ -286,14 +299,21 @@ impl<'a> Run<'a> {
             if face[0] == NONE {
                 continue;
             }
+            let dies = face.contains(&u);
             let others = face.map(|w| if w == u || w == v { NONE } else { w });
-            let common = |w: u32| w != NONE && self.mark[w as usize] == stamp;
-            for w in others {
-                if common(w) && !self.ring.contains(&w) {
-                    self.ring.push(w);
+            let mut common = 0;
+            for w in others.into_iter().filter(|&w| w != NONE) {
+                let mark = &mut self.mark[w as usize];
+                if mark.stamp == self.stamp {
+                    common += 1;
+                    mark.of_v += 1;
+                    mark.of_both += u16::from(dies);
+                    if mark.of_v == 1 {
+                        self.ring.push(w);
+                    }
                 }
             }
-            if !face.contains(&u) && others.iter().filter(|&&w| common(w)).count() == 2 {
+            if !dies && common == 2 {
                 let [a, b] = two(others);
                 self.each_face(u, |f| {
                     let other = &self.block.faces[f as usize];
@@ -301,7 +321,11 @@ impl<'a> Run<'a> {
                 });
             }
         }
-        !folds && self.ring.len() as u32 <= shared
+        let allowed = |w: &u32| {
+            let Mark { of_u, of_v, of_both, .. } = self.mark[*w as usize];
+            of_u + of_v - 2 * of_both <= of_u.max(of_v).max(2)
+        };
+        !folds && self.ring.iter().all(allowed)
     }
 
     /// Fills `star` with the faces as they would be; false where one flips, vanishes or leaves its cell.

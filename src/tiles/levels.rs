@@ -35,13 +35,14 @@ pub struct LevelsConfig {
     pub tile_faces: usize,
     /// A root above this many faces gets a lighter one on top. Default: 8 000, about 400 kB with its texture.
     pub root_faces: usize,
-    /// Scale of a step over that of the step before. Default: 1.5.
+    /// Scale of a step over that of the step before. Default: 2: smaller steps try every edge more often and end up
+    /// no nearer to the source.
     pub step_ratio: f64,
 }
 
 impl Default for LevelsConfig {
     fn default() -> Self {
-        Self { leaf_faces: 40_000, leaf_texels: 1 << 22, tile_faces: 30_000, root_faces: 8_000, step_ratio: 1.5 }
+        Self { leaf_faces: 40_000, leaf_texels: 1 << 22, tile_faces: 30_000, root_faces: 8_000, step_ratio: 2.0 }
     }
 }
 
@@ -67,7 +68,7 @@ impl LevelsConfig {
 }
 
 /// The first step's tolerance as a share of the median edge: below it almost nothing collapses.
-const FIRST_TOLERANCE_EDGES: f64 = 1.0 / 16.0;
+const FIRST_TOLERANCE_EDGES: f64 = 1.0 / 8.0;
 /// A level must lose at least this share of the faces of the level below.
 const LEAST_REDUCTION: f64 = 0.5;
 /// A step that loses less than this share has stalled; after `MOST_STALLED` of them in a row a level is taken as it is.

@@ -3,7 +3,9 @@
 //! A block is a compact copy of some faces. Vertices that faces outside it use are locked, so blocks never see each
 //! other and their order of execution cannot matter.
 
-use glam::DVec3;
+use std::collections::HashMap;
+
+use glam::{DVec3, I64Vec3};
 
 use super::energy::Quadric;
 use super::queue::{Candidate, Queue};
@@ -28,6 +30,8 @@ const STALE_FACTOR: f32 = 1.1;
 const FARTHEST_LENGTHS: f64 = 2.0;
 /// Weight of open borders against the surface beside them, both as squared length.
 const BORDER_WEIGHT: f64 = 1.0;
+/// A border vertex is tried with at most this many others across a gap, the nearest first.
+const MOST_GAPS: usize = 3;
 
 /// What a block is made of. All indices are local to the block; positions are relative to `origin`.
 pub struct Block<'a> {
@@ -45,6 +49,8 @@ pub struct Block<'a> {
     pub omega: Vec<f32>,
     /// Per face: index into `boxes`.
     pub group: Vec<u32>,
+    /// Open borders nearer than this may join, metres.
+    pub reach_m: f64,
     /// Where the faces of a group must stay, in plan.
     pub boxes: &'a [PlanBox],
     /// Per tracked sample: where the source is, relative to `origin`.
@@ -106,6 +112,7 @@ impl<'a> Block<'a> {
     pub fn collapse(self) -> (Block<'a>, Vec<Collapse>) {
         let mut run = Run::new(self);
         run.rank_all();
+        run.rank_gaps();
         while let Some(candidate) = run.queue.pop() {
             run.consider(candidate);
         }
@@ -213,17 +220,58 @@ impl<'a> Run<'a> {
                     }
                 });
                 if first == f as u32 {
-                    self.rank(u, v);
+                    self.rank(u, v, false);
                 }
             }
         }
     }
 
-    fn rank(&mut self, u: u32, v: u32) {
+    fn rank(&mut self, u: u32, v: u32, gap: bool) {
         if let Some((_, energy)) = self.place(u, v) {
             let stamp = self.version[u as usize] + self.version[v as usize];
-            self.queue.push(Candidate { u, v, stamp, energy });
+            self.queue.push(Candidate { u, v, stamp, energy, gap });
         }
+    }
+
+    /// Ranks pairs of open-border vertices within `reach_m` of each other. Tiled deliveries are cracked along their own
+    /// tiles' borders: there the sides would drift apart as they simplify, and show as slits in coarse levels.
+    fn rank_gaps(&mut self) {
+        let reach = self.block.reach_m;
+        let open: Vec<u32> = (0..self.block.positions.len() as u32)
+            .filter(|&v| self.block.flags[v as usize] & (BORDER | LOCKED) == BORDER && self.is_open(v))
+            .collect();
+        let cell = |p: DVec3| (p / reach).floor().as_i64vec3();
+        let mut grid: HashMap<I64Vec3, Vec<u32>> = HashMap::new();
+        for &v in &open {
+            grid.entry(cell(self.block.positions[v as usize])).or_default().push(v);
+        }
+        let mut near: Vec<(f64, u32)> = Vec::new();
+        for &u in &open {
+            let p = self.block.positions[u as usize];
+            near.clear();
+            for i in 0..27 {
+                let offset = I64Vec3::new(i % 3, i / 3 % 3, i / 9) - 1;
+                for &v in grid.get(&(cell(p) + offset)).into_iter().flatten() {
+                    let d = (self.block.positions[v as usize] - p).length();
+                    if v != u && d <= reach && self.shared_faces(u, v) == 0 {
+                        near.push((d, v));
+                    }
+                }
+            }
+            near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+            for &(_, v) in near.iter().take(MOST_GAPS) {
+                self.rank(u, v, true);
+            }
+        }
+    }
+
+    /// True for a vertex on an edge that has one face.
+    fn is_open(&self, v: u32) -> bool {
+        let mut open = false;
+        self.each_face(v, |f| {
+            open |= self.block.faces[f as usize].iter().any(|&w| w != v && self.shared_faces(v, w) == 1);
+        });
+        open
     }
 
     /// Where the collapse of `uv` would put the vertex, and at what energy; none if their constraints disagree.
@@ -247,7 +295,7 @@ impl<'a> Run<'a> {
     }
 
     fn consider(&mut self, candidate: Candidate) {
-        let Candidate { u, v, stamp, energy: filed } = candidate;
+        let Candidate { u, v, stamp, energy: filed, gap } = candidate;
         if self.head[u as usize] == NONE || self.head[v as usize] == NONE {
             return;
         }
@@ -259,7 +307,7 @@ impl<'a> Run<'a> {
             self.queue.push(Candidate { energy, ..candidate });
             return;
         }
-        if !self.link_allows(u, v) || !self.faces_allow(u, v, p) {
+        if !self.link_allows(u, v, gap) || !self.faces_allow(u, v, p) {
             return;
         }
         if let Some(share) = self.samples_allow() {
@@ -270,7 +318,7 @@ impl<'a> Run<'a> {
     /// What is left of the link condition (Dey et al., Topology preserving edge contraction, 1999) on meshes that are
     /// full of holes and already non-manifold: no edge may end up with more faces than two or than it had, no two faces
     /// may fold onto each other. So small holes close and strips pinch instead of stopping everything around them.
-    fn link_allows(&mut self, u: u32, v: u32) -> bool {
+    fn link_allows(&mut self, u: u32, v: u32, gap: bool) -> bool {
         self.stamp += 1;
         let mut shared = 0;
         let mut corner = self.head[u as usize];
@@ -287,7 +335,7 @@ impl<'a> Run<'a> {
                 mark.of_u += 1;
             }
         }
-        if shared == 0 {
+        if (shared == 0) != gap {
             return false;
         }
         self.ring.clear();
@@ -427,7 +475,7 @@ impl<'a> Run<'a> {
             self.quadrics[w as usize] = self.quadric_of(w);
         }
         for &w in &ring {
-            self.rank(u, w);
+            self.rank(u, w, false);
         }
         self.ring = ring;
     }

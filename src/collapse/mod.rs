@@ -6,8 +6,10 @@
 //! 1. Every source vertex is a sample that rides on a face of the current surface, with the budget b of its class.
 //! 2. [`Collapser::step`] takes the surface to scale t: it is split into blocks of bounded size; inside a block edges
 //!    collapse in order of energy, as long as every sample that would be moved stays within t·b of the new faces.
-//! 3. Blocks lock the vertices they share and are cut elsewhere in every step, so nothing stays locked.
-//! 4. After a step faces take the class and weight that most of the samples riding on them have.
+//! 3. Border vertices closer than the strictest budget may join across the gap, so that meshes delivered in tiles grow
+//!    together instead of cracking along the tiles' borders.
+//! 4. Blocks lock the vertices they share and are cut elsewhere in every step, so nothing stays locked.
+//! 5. After a step faces take the class and weight that most of the samples riding on them have.
 //!
 //! # Promises
 //! - No sample is further than t·b from the surface after a step to t (`samples_stay_within_their_budget`).
@@ -18,7 +20,7 @@
 //!
 //! # Limits
 //! Samples bound the distance from the source to the cut, not back; `tiles::error` measures both. Closed islands shrink
-//! to a tetrahedron and stay.
+//! to a tetrahedron and stay. A border that two blocks share joins a step later.
 //!
 //! # References
 //! Garland & Heckbert 1997 (quadrics); Lindstrom & Turk 1998 (memoryless); Hoppe 1996 (the record); the semantic
@@ -154,6 +156,7 @@ pub struct Collapser<'a> {
     labels: Vec<ClassId>,
     samples: Samples,
     classes: usize,
+    strictest_m: f64,
     log: CollapseLog,
 }
 
@@ -187,6 +190,7 @@ impl<'a> Collapser<'a> {
             labels: classes.label.clone(),
             samples,
             classes: budgets.len(),
+            strictest_m: budgets.iter().copied().fold(f64::INFINITY, f64::min),
             log: CollapseLog::default(),
         }
     }
@@ -318,6 +322,7 @@ impl<'a> Collapser<'a> {
             faces: faces_local,
             omega: faces.iter().map(|&f| self.omega[f as usize]).collect(),
             group,
+            reach_m: t * self.strictest_m,
             boxes: &boxes,
             samples: sample_ids.iter().map(|&s| self.source.positions[s as usize] - origin).collect(),
             limits: sample_ids.iter().map(|&s| t * f64::from(self.samples.budget_m[s as usize])).collect(),

@@ -14,6 +14,8 @@ pub struct Candidate {
     pub stamp: u32,
     /// The energy it was filed under.
     pub energy: f32,
+    /// Not an edge: two vertices of open borders that lie close together.
+    pub gap: bool,
 }
 
 const BUCKETS: usize = 8192;
@@ -60,7 +62,7 @@ mod tests {
         let mut queue = Queue::new();
         for i in 0..1000u32 {
             let energy = ((i * 7919) % 1000) as f32 * 1e-5;
-            queue.push(Candidate { u: i, v: i, stamp: 0, energy });
+            queue.push(Candidate { u: i, v: i, stamp: 0, energy, gap: false });
         }
         let mut last = 0f32;
         let mut count = 0;

@@ -164,3 +164,34 @@ fn an_open_border_does_not_shrink() {
     let high = used.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
     assert!(low.truncate().length() < 0.2 && (high.truncate() - 30.0).length() < 0.2, "{low} {high}");
 }
+
+#[test]
+fn cracked_borders_grow_together() {
+    // Two halves that meet along x = 15 with a gap of 2 cm, one side twice as dense as the other.
+    let mut mesh = terrain(30);
+    mesh.positions.iter_mut().for_each(|p| p.z = (p.x * 0.7).sin() * 0.3 + (p.y * 0.9).cos() * 0.3);
+    let left = |f: &[u32; 3], m: &Mesh| f.iter().all(|&v| m.positions[v as usize].x <= 15.0);
+    let faces = mesh.faces.clone();
+    let base = mesh.positions.len() as u32;
+    let twins: Vec<DVec3> = mesh.positions.iter().map(|p| on_grid(*p + DVec3::new(0.02, 0.0, 0.0))).collect();
+    mesh.positions.extend(twins);
+    mesh.faces = faces.iter().map(|f| if left(f, &mesh) { *f } else { f.map(|v| v + base) }).collect();
+    let classes = one_class(&mesh);
+    let open = |cut: &Cut| {
+        let mut edges: Vec<(u32, u32)> = cut
+            .faces
+            .iter()
+            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)])
+            .map(|(u, v)| (u.min(v), u.max(v)))
+            .collect();
+        edges.sort_unstable();
+        let inner = |v: u32| {
+            (1.0..29.0).contains(&cut.positions[v as usize].y) && (1.0..29.0).contains(&cut.positions[v as usize].x)
+        };
+        edges.chunk_by(|a, b| a == b).filter(|g| g.len() == 1 && inner(g[0].0) && inner(g[0].1)).count()
+    };
+    let before = Collapser::new(&mesh, &classes, &CollapseConfig { block_faces: 10_000 }).cut();
+    assert!(open(&before) >= 50, "{}", open(&before));
+    let cut = run(&mesh, &classes, 10_000, &[0.5, 1.0, 2.0]).cut();
+    assert_eq!(open(&cut), 0);
+}

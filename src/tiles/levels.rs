@@ -35,14 +35,14 @@ pub struct LevelsConfig {
     pub tile_faces: usize,
     /// A root above this many faces gets a lighter one on top. Default: 8 000, about 400 kB with its texture.
     pub root_faces: usize,
-    /// Scale of a step over that of the step before. Default: 2: smaller steps try every edge more often and end up
-    /// no nearer to the source.
+    /// Scale of a step over that of the step before. Default: 1.6: larger steps overshoot the faces a
+    /// tile may have, smaller ones try every edge more often and end up no nearer to the source.
     pub step_ratio: f64,
 }
 
 impl Default for LevelsConfig {
     fn default() -> Self {
-        Self { leaf_faces: 40_000, leaf_texels: 1 << 22, tile_faces: 30_000, root_faces: 8_000, step_ratio: 2.0 }
+        Self { leaf_faces: 40_000, leaf_texels: 1 << 22, tile_faces: 30_000, root_faces: 8_000, step_ratio: 1.6 }
     }
 }
 
@@ -68,9 +68,9 @@ impl LevelsConfig {
 }
 
 /// The first step's tolerance as a share of the median edge: below it almost nothing collapses.
-const FIRST_TOLERANCE_EDGES: f64 = 1.0 / 8.0;
-/// A level must lose at least this share of the faces of the level below.
-const LEAST_REDUCTION: f64 = 0.5;
+const FIRST_TOLERANCE_EDGES: f64 = 1.0 / 16.0;
+/// A level must lose at least this share of the faces of the level below: less is not worth a level.
+const LEAST_REDUCTION: f64 = 0.3;
 /// A step that loses less than this share has stalled; after `MOST_STALLED` of them in a row a level is taken as it is.
 const STALLED_SHARE: f64 = 0.01;
 const MOST_STALLED: u32 = 6;
@@ -142,7 +142,7 @@ impl TileTree {
             }
             let before = collapser.face_count();
             builder.collapse_to(&mut collapser, &mut scale, 0, config.root_faces)?;
-            if collapser.face_count() as f64 > before as f64 * (1.0 - LEAST_REDUCTION * 0.5) {
+            if collapser.face_count() as f64 > before as f64 * (1.0 - LEAST_REDUCTION) {
                 break;
             }
             builder.add_root(&collapser);
@@ -187,7 +187,7 @@ impl<'a> Builder<'a> {
         self.tiles.push(tile);
     }
 
-    /// Steps on until no cell of `depth` that needs content has more than `most` faces, and half the faces are gone.
+    /// Steps on until no cell of `depth` that needs content has more than `most` faces and the level is worth having.
     fn collapse_to(&self, collapser: &mut Collapser, scale: &mut f64, depth: u8, most: usize) -> Result<()> {
         let group: Vec<u32> = self.partition.leaf.iter().map(|&leaf| self.partition.ancestor(leaf, depth)).collect();
         let boxes: Vec<PlanBox> = self.partition.cells.iter().map(|c| c.plan).collect();
@@ -202,7 +202,7 @@ impl<'a> Builder<'a> {
             let after = collapser.face_count();
             stalled = if (count - after) as f64 <= STALLED_SHARE * count as f64 { stalled + 1 } else { 0 };
             let heaviest = self.heaviest(collapser, &group);
-            let enough = after as f64 <= before as f64 * LEAST_REDUCTION && heaviest <= most;
+            let enough = after as f64 <= before as f64 * (1.0 - LEAST_REDUCTION) && heaviest <= most;
             // The first steps of a level stall by nature: the walls of the level below were just let go.
             if enough || stalled >= MOST_STALLED {
                 return Ok(());

@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use rooftile::input::discover::ending;
 use rooftile::inspect;
 
-use crate::common::{ROOFTILE, data, names};
+use crate::common::{ROOFTILE, build, data, names, shapes};
 
 /// Nothing in the corpus is larger than 2 MB; a file that takes this long is a hang.
 const MOST_TIME: Duration = Duration::from_secs(20);
@@ -95,4 +95,36 @@ fn the_nasty_corpus_is_built_or_refused_in_one_sentence() {
     eprintln!("nasty: {counts:?}");
     assert!(faults.is_empty(), "{} of {}:\n{}", faults.len(), files.len(), faults.join("\n"));
     assert!(counts.keys().any(|k| k.ends_with("exit 0")) && counts.keys().any(|k| k.ends_with("exit 3")));
+}
+
+/// A textured PLY and a glTF in a folder of their own, with texture and buffer in the folder beside it.
+fn beside(temp: &Path) -> PathBuf {
+    let input = temp.join("in");
+    for folder in ["a", "b", "shared"] {
+        std::fs::create_dir_all(input.join(folder)).expect("a folder");
+    }
+    let ply = "ply\nformat ascii 1.0\ncomment TextureFile ../shared/T.PNG\nelement vertex 3\nproperty float x\n\
+               property float y\nproperty float z\nproperty float s\nproperty float t\nelement face 1\n\
+               property list uchar int vertex_indices\nend_header\n0 0 0 0 0\n9 0 0 1 0\n0 9 0 0 1\n3 0 1 2\n";
+    std::fs::write(input.join("a/x.ply"), ply).expect("a file");
+    let mut json = shapes::triangle_gltf();
+    json["buffers"][0]["uri"] = "../shared/b.bin".into();
+    std::fs::write(input.join("b/y.gltf"), json.to_string()).expect("a file");
+    std::fs::write(input.join("shared/b.bin"), shapes::triangle_bytes([0, 1, 2])).expect("a file");
+    image::RgbImage::new(8, 8).save(input.join("shared/t.png")).expect("an image");
+    input
+}
+
+#[test]
+fn files_of_a_named_folder_may_refer_to_all_of_it_in_every_format() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let input = beside(temp.path());
+    let run = build(&input, &temp.path().join("tiles"), &["--json"]).wants(0);
+    assert_eq!(run.json()["warnings"], serde_json::json!([]));
+    // Named alone, they may not.
+    for file in ["a/x.ply", "b/y.gltf"] {
+        let said = build(&input.join(file), &temp.path().join("other"), &[]).wants(3).stderr;
+        assert!(said.contains(file) && said.contains("--allow-outside"), "{said}");
+        build(&input.join(file), &temp.path().join(file), &["--allow-outside"]).wants(0);
+    }
 }

@@ -383,6 +383,17 @@ fn a_vertex_beyond_the_moon_is_refused() {
     judge("a vertex at 1e30", &run, 3, &["x.obj"]).unwrap();
 }
 
+#[ignore = "the frame is drawn about all vertices, those of no face too"]
+#[test]
+fn a_vertex_of_no_face_does_not_move_the_frame() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let text = "v 0 0 0\nv 566000 5930000 9\nv 566010 5930000 9\nv 566000 5930010 9\nf 2 3 4\n";
+    put(temp.path(), "x.obj", text);
+    let run =
+        build(&temp.path().join("x.obj"), &temp.path().join("tiles"), &["--json", "--crs", "EPSG:25832"]).wants(0);
+    assert_eq!(run.json()["frame"]["origin_source"], json!([566005.0, 5930005.0, 9.0]));
+}
+
 /// To the superuser nothing is read-only.
 fn is_root() -> bool {
     let id = std::process::Command::new("id").arg("-u").output().expect("id runs");

@@ -422,7 +422,8 @@ fn warnings(folder: &Path, more: &[&str]) -> Vec<(String, u64)> {
 #[test]
 fn what_can_be_done_without_is_a_counted_warning() {
     type Spoil = fn(&Path);
-    let cases: [(&str, Spoil, &[&str], &[(&str, u64)]); 9] = [
+    type Counts = &'static [(&'static str, u64)];
+    let cases: [(&str, Spoil, &[&str], Counts); 9] = [
         ("nothing amiss", |_| {}, &[], &[]),
         ("no MTL", |f| fs::remove_file(f.join("house.mtl")).expect("removed"), &[], &[("missing-mtl", 1)]),
         ("no texture", |f| fs::remove_file(f.join("house.png")).expect("removed"), &[], &[("missing-texture", 1)]),

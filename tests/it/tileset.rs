@@ -146,8 +146,8 @@ impl Welder {
         for x in low[0]..=high[0] {
             for y in low[1]..=high[1] {
                 for z in low[2]..=high[2] {
-                    let known = self.cells.get(&[x, y, z]).into_iter().flatten();
-                    if let Some((_, number)) = known.filter(|(q, _)| (*q - p).abs().max_element() < ROUNDING_M).next() {
+                    let mut known = self.cells.get(&[x, y, z]).into_iter().flatten();
+                    if let Some((_, number)) = known.find(|(q, _)| (*q - p).abs().max_element() < ROUNDING_M) {
                         return *number;
                     }
                 }
@@ -210,7 +210,7 @@ fn shared_edges(nodes: &[&Node]) -> usize {
 }
 
 /// Leaves fit leaves of any level, as the source fits itself, and simplified tiles those of their own level. A leaf beside
-/// a simplified tile does not fit it bit for bit: their gap is no wider than that tile's error.
+/// a simplified tile of its level does not fit it bit for bit; that gap is not judged here.
 #[test]
 fn neighbours_of_one_detail_share_their_borders() {
     let town = town();

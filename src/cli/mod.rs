@@ -117,7 +117,8 @@ fn explain(error: &Error) {
         text.push_str(&format!(": {cause}"));
         source = cause.source();
     }
-    eprintln!("{text}");
+    // Not `eprintln`, which panics when nobody reads: the exit code has to stay.
+    let _ = writeln!(std::io::stderr(), "{text}");
 }
 
 /// Prints a line of data; a reader that went away is no error.

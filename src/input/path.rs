@@ -9,7 +9,7 @@ use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 use std::{fs, io};
 
-use super::lines;
+use super::{InputConfig, lines};
 use crate::error::Place;
 use crate::{Error, Result};
 
@@ -24,6 +24,16 @@ use crate::{Error, Result};
 pub fn safe_path(root: &Path, base: &Path, reference: &str, allow_outside: bool) -> Result<PathBuf> {
     let found = Resolver::new(root, allow_outside)?.resolve(base, reference);
     found.map_err(|refusal| refusal.into_error(base, Place::File, reference))
+}
+
+/// Resolves what `file` refers to: from its folder, inside of [`InputConfig::root`] or else of that folder.
+///
+/// # Errors
+/// As of [`safe_path`], naming `file`.
+pub fn referred(file: &Path, reference: &str, config: &InputConfig) -> Result<PathBuf> {
+    let base = file.parent().unwrap_or(Path::new(""));
+    let found = Resolver::new(config.root.as_deref().unwrap_or(base), config.allow_outside)?.resolve(base, reference);
+    found.map_err(|refusal| refusal.into_error(file, Place::File, reference))
 }
 
 /// True for the error of [`safe_path`] that says the file is not there.
@@ -59,7 +69,7 @@ impl Refusal {
                 at,
                 format!(
                     "the path `{shown}` {how}; only files inside the input's folder are read: move the file there or \
-                     allow paths outside"
+                     pass --allow-outside"
                 ),
             ),
             Self::NotAFile => {

@@ -6,19 +6,18 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use super::resolve::resolve;
 use super::schema::{Buffer, BufferView, Int, Root};
 use super::{meshopt, uri};
 use crate::input::InputConfig;
+use crate::input::path::referred;
 use crate::{Error, Result};
 
 /// Bytes of one glTF file. Every slice it gives out was checked against its buffer.
 pub struct Data<'a> {
     pub path: &'a Path,
     pub root: &'a Root,
-    folder: PathBuf,
     bin: Option<&'a [u8]>,
-    allow_outside: bool,
+    config: &'a InputConfig,
     buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
     unpacked: Vec<OnceCell<Vec<u8>>>,
     loaded_bytes: Cell<u64>,
@@ -32,13 +31,12 @@ pub struct View<'a> {
 }
 
 impl<'a> Data<'a> {
-    pub fn new(path: &'a Path, root: &'a Root, bin: Option<&'a [u8]>, config: &InputConfig) -> Self {
+    pub fn new(path: &'a Path, root: &'a Root, bin: Option<&'a [u8]>, config: &'a InputConfig) -> Self {
         Self {
             path,
             root,
-            folder: folder(path),
             bin,
-            allow_outside: config.allow_outside,
+            config,
             buffers: root.buffers.iter().map(|_| OnceCell::new()).collect(),
             unpacked: root.buffer_views.iter().map(|_| OnceCell::new()).collect(),
             loaded_bytes: Cell::new(0),
@@ -67,7 +65,7 @@ impl<'a> Data<'a> {
     pub fn resolve(&self, reference: &str) -> Result<PathBuf> {
         let decoded = uri::percent_decode(reference)
             .ok_or_else(|| self.refuse(format!("URI {:?} is not UTF-8 text after %-decoding", shorten(reference))))?;
-        resolve(&self.folder, &self.folder, &decoded, self.allow_outside)
+        referred(self.path, &decoded, self.config)
     }
 
     /// The checked bytes of buffer view `index`, unpacked if it is compressed.
@@ -163,14 +161,6 @@ impl<'a> Data<'a> {
 
 fn declared(view: &BufferView) -> Option<u64> {
     view.byte_length.map(|length| length.0)
-}
-
-/// The folder of `path`, never empty.
-pub(in crate::input) fn folder(path: &Path) -> PathBuf {
-    match path.parent() {
-        Some(parent) if !parent.as_os_str().is_empty() => parent.to_path_buf(),
-        _ => PathBuf::from("."),
-    }
 }
 
 /// The start of a text from a file, fit for a message.

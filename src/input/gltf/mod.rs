@@ -38,14 +38,11 @@ mod data;
 mod material;
 mod meshopt;
 mod primitive;
-pub(in crate::input) mod resolve;
 mod scene;
 mod schema;
 #[cfg(test)]
 mod tests;
 mod uri;
-
-pub(in crate::input) use self::data::folder;
 
 /// Extensions a file may require: read, or without effect on shape and base colour.
 const KNOWN_EXTENSIONS: [&str; 20] = [

@@ -18,7 +18,7 @@ use self::body::{Ascii, Binary, Body, Broken};
 use self::faces::Faces;
 use self::header::{Element, Format, Header};
 use self::vertices::Vertices;
-use super::gltf::{folder, resolve::resolve};
+use super::path::referred;
 use super::{ImageRef, InputConfig, Material, Part, Source};
 use crate::report::Reporter;
 use crate::{Error, Result};
@@ -192,8 +192,7 @@ impl Reading<'_> {
     }
 
     fn image(&self, file: &str) -> Result<Option<ImageRef>> {
-        let folder = folder(self.path);
-        match resolve(&folder, &folder, file, self.config.allow_outside) {
+        match referred(self.path, file, self.config) {
             Err(Error::Io { .. }) => {
                 let what = format!("texture {file:?} cannot be found; its faces are grey");
                 self.reporter.warn("missing-texture", self.path, what);

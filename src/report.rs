@@ -1,6 +1,7 @@
 //! Where stages speak: counted warnings, one line a stage, progress, and the wish to stop.
 
 use std::collections::BTreeMap;
+use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, LazyLock, Mutex};
@@ -119,7 +120,8 @@ impl Reporter {
     /// A line for people, on standard error.
     pub fn say(&self, line: &str) {
         if !self.quiet {
-            eprintln!("{line}");
+            // Nobody reading (`2>&1 | head -1`) is no reason to fail, let alone to panic as `eprintln` does.
+            let _ = writeln!(std::io::stderr(), "{line}");
         }
     }
 }

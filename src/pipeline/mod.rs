@@ -113,11 +113,13 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
     })
 }
 
+/// Largest extent of a model, metres: up to here differences of grid points are exact, see [`mesh::GRID_PER_M`].
+const MOST_EXTENT_M: f64 = 8e6;
+
 /// Takes positions from source coordinates to the local frame.
 fn place(mut source: Source, georeference: &Georeference, reporter: &Reporter) -> Result<(Source, Frame)> {
     let stage = reporter.stage("frame", 0);
-    let all = source.parts.iter().flat_map(|p| &p.positions).copied().filter(|p| p.is_finite());
-    let bounds = Aabb::of(all);
+    let bounds = surface_bounds(&source);
     let path = source.parts.first().map(|p| p.path.clone()).unwrap_or_default();
     if bounds.is_empty() {
         return Err(Error::input(path, "no vertex has finite coordinates; nothing to build"));
@@ -128,9 +130,26 @@ fn place(mut source: Source, georeference: &Georeference, reporter: &Reporter) -
     for part in &mut source.parts {
         frame.locals_from_sources(&part.path, &mut part.positions)?;
     }
+    let size = surface_bounds(&source).size();
+    if size.max_element() > MOST_EXTENT_M {
+        let what = format!(
+            "the model is {:.1e} m wide, and up to {MOST_EXTENT_M:.0e} m can be placed; look for stray vertices between \
+             {} and {}",
+            size.max_element(),
+            bounds.min,
+            bounds.max
+        );
+        return Err(Error::input(path, what));
+    }
     let size = bounds.size();
     stage.finish(format!("{:.0} × {:.0} × {:.0} units, {}", size.x, size.y, size.z, frame.describe()));
     Ok((source, frame))
+}
+
+/// Of the surface alone: a stray vertex at (0, 0, 0) must not draw the frame away from its model.
+fn surface_bounds(source: &Source) -> Aabb {
+    let corners = source.parts.iter().flat_map(|p| p.faces.iter().flatten().map(|&v| p.positions[v as usize]));
+    Aabb::of(corners.filter(|p| p.is_finite()))
 }
 
 fn weld(source: Source, config: &Config, reporter: &Reporter) -> Result<(Mesh, GateReport)> {

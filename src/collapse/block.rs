@@ -101,6 +101,7 @@ struct Run<'a> {
 #[derive(Clone, Copy)]
 struct Corner {
     face: u32,
+    group: u32,
     dies: bool,
     facet: Facet,
     corners: [DVec3; 3],
@@ -384,9 +385,10 @@ impl<'a> Run<'a> {
         for (from, to) in [(u, v), (v, u)] {
             self.each_face(from, |f| {
                 let face = self.block.faces[f as usize];
+                let group = self.block.group[f as usize];
                 if face.contains(&to) {
                     if from == u {
-                        star.push(Corner { face: f, dies: true, facet: Facet::default(), corners: [p; 3] });
+                        star.push(Corner { face: f, group, dies: true, facet: Facet::default(), corners: [p; 3] });
                     }
                     return;
                 }
@@ -394,9 +396,8 @@ impl<'a> Run<'a> {
                 let new = facet(corners);
                 let old = &self.facets[f as usize];
                 let turned = old.area > 0.0 && new.normal.dot(old.normal) < LEAST_TURN_COS;
-                allowed &=
-                    !turned && new.area > 0.0 && self.block.boxes[self.block.group[f as usize] as usize].holds(p);
-                star.push(Corner { face: f, dies: false, facet: new, corners });
+                allowed &= !turned && new.area > 0.0 && self.block.boxes[group as usize].holds(p);
+                star.push(Corner { face: f, group, dies: false, facet: new, corners });
             });
         }
         allowed &= star.iter().any(|c| !c.dies);
@@ -404,8 +405,8 @@ impl<'a> Run<'a> {
         allowed
     }
 
-    /// Finds the new face of every sample of the star; the largest deviation in units of its limit, or none if one
-    /// would be further from the surface than its limit.
+    /// Finds the new face of every sample of the star, in the sample's own group; the largest deviation in units of its
+    /// limit, or none if one would be further from its group's surface than its limit.
     fn samples_allow(&mut self) -> Option<f32> {
         let mut moved = std::mem::take(&mut self.moved);
         moved.clear();
@@ -413,7 +414,7 @@ impl<'a> Run<'a> {
         let allowed = self.star.iter().all(|corner| {
             let mut s = self.sample_head[corner.face as usize];
             while s != NONE {
-                let (face, squared) = nearest(&self.star, corner.face, self.block.samples[s as usize]);
+                let (face, squared) = nearest(&self.star, corner, self.block.samples[s as usize]);
                 let limit = self.block.limits[s as usize];
                 if squared > limit * limit {
                     return false;
@@ -526,11 +527,11 @@ fn two(others: [u32; 3]) -> [u32; 2] {
     [found.next().unwrap_or(NONE), found.next().unwrap_or(NONE)]
 }
 
-/// The living face of `star` nearest to `s`, its own first, and the squared distance.
-fn nearest(star: &[Corner], own: u32, s: DVec3) -> (u32, f64) {
+/// The living face of `star` in the group of `own` that is nearest to `s`, `own` tried first, and the squared distance.
+fn nearest(star: &[Corner], own: &Corner, s: DVec3) -> (u32, f64) {
     let mut best = (NONE, f64::INFINITY);
-    let own_first = star.iter().filter(|c| c.face == own).chain(star.iter().filter(|c| c.face != own));
-    for corner in own_first.filter(|c| !c.dies) {
+    let own_first = std::iter::once(own).chain(star.iter().filter(|c| c.face != own.face));
+    for corner in own_first.filter(|c| !c.dies && c.group == own.group) {
         let off_plane = corner.facet.normal.dot(s) + corner.facet.d;
         if off_plane * off_plane < best.1 {
             let squared = (closest_on_triangle(s, &corner.corners) - s).length_squared();

@@ -12,7 +12,8 @@
 //! 5. After a step faces take the class and weight that most of the samples riding on them have.
 //!
 //! # Promises
-//! - No sample is further than t·b from the surface after a step to t (`samples_stay_within_their_budget`).
+//! - No sample is further than t·b from the surface of its own group after a step to t, so a tile alone keeps the
+//!   bound, without its neighbours (`samples_stay_within_their_budget`, `a_group_keeps_its_own_surface`).
 //! - A vertex on a wall between groups of faces stays on it, and no face leaves its group's cell: tiles cut from one
 //!   step share their borders bit for bit (`walls_are_kept`).
 //! - Replaying a prefix of the log gives the mesh of that moment (`replay_equals_the_live_mesh`).
@@ -31,6 +32,7 @@ mod energy;
 mod queue;
 
 use std::cmp::Ordering;
+use std::collections::HashMap;
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -160,8 +162,11 @@ pub struct Collapser<'a> {
     log: CollapseLog,
 }
 
-/// The tracked samples: one for each source vertex.
+/// The tracked samples: one for each source vertex, and one more for each further leaf that has it on its wall, so that
+/// every leaf's part of the surface is held down by samples of its own.
 struct Samples {
+    /// The source vertex it is at.
+    vertex: Vec<u32>,
     /// Current face each rides on (index into `Collapser::faces`), `NONE` for a vertex no face uses.
     face: Vec<u32>,
     budget_m: Vec<f32>,
@@ -170,15 +175,16 @@ struct Samples {
 }
 
 impl<'a> Collapser<'a> {
-    /// Starts from the source itself, every sample on a face at its vertex.
-    pub fn new(mesh: &'a Mesh, classes: &Classes, config: &CollapseConfig) -> Self {
+    /// Starts from the source itself, every sample on a face at its vertex. `leaf_of_face` is the finest grouping that
+    /// any step will use: groups of later steps are unions of leaves.
+    pub fn new(mesh: &'a Mesh, leaf_of_face: &[u32], classes: &Classes, config: &CollapseConfig) -> Self {
         let budgets: Vec<f64> = classes.scheme.0.iter().map(|c| c.budget_m).collect();
         let weight = |f: usize| {
             let sum = classes.of(f).iter().zip(&budgets).map(|(p, b)| f64::from(*p) / (b * b)).sum::<f64>();
             sum as f32
         };
         let omega: Vec<f32> = (0..mesh.faces.len()).into_par_iter().map(weight).collect();
-        let samples = Samples::of(mesh, classes, &omega, &budgets);
+        let samples = Samples::of(mesh, leaf_of_face, classes, &omega, &budgets);
         Self {
             config: config.clone(),
             source: mesh,
@@ -324,7 +330,10 @@ impl<'a> Collapser<'a> {
             group,
             reach_m: t * self.strictest_m,
             boxes: &boxes,
-            samples: sample_ids.iter().map(|&s| self.source.positions[s as usize] - origin).collect(),
+            samples: sample_ids
+                .iter()
+                .map(|&s| self.source.positions[self.samples.vertex[s as usize] as usize] - origin)
+                .collect(),
             limits: sample_ids.iter().map(|&s| t * f64::from(self.samples.budget_m[s as usize])).collect(),
             rides,
             vertex_ids,
@@ -416,31 +425,50 @@ struct Done {
 
 impl Samples {
     /// A sample takes the strictest budget of the faces around its vertex, so that an edge between ground and wall is
-    /// kept as well as the wall, and the class and weight of the largest of them.
-    fn of(mesh: &Mesh, classes: &Classes, omega: &[f32], budgets: &[f64]) -> Self {
+    /// kept as well as the wall, and the class and weight of the largest of them in its leaf.
+    fn of(mesh: &Mesh, leaf_of_face: &[u32], classes: &Classes, omega: &[f32], budgets: &[f64]) -> Self {
         let count = mesh.positions.len();
         let mut samples = Self {
+            vertex: (0..count as u32).collect(),
             face: vec![NONE; count],
             budget_m: vec![f32::INFINITY; count],
             omega: vec![0.0; count],
             class: vec![ClassId(0); count],
         };
+        let mut strictest = vec![f32::INFINITY; count];
         let mut largest = vec![-1f32; count];
+        // Sample of a vertex in a leaf other than that of its first face.
+        let mut further: HashMap<(u32, u32), u32> = HashMap::new();
         for (f, face) in mesh.faces.iter().enumerate() {
             let area = mesh.cross(f).length() as f32;
-            let budget = budgets[classes.label[f].index()] as f32;
             for &v in face {
-                let v = v as usize;
-                samples.budget_m[v] = samples.budget_m[v].min(budget);
-                if area > largest[v] {
-                    largest[v] = area;
-                    samples.face[v] = f as u32;
-                    samples.omega[v] = omega[f];
-                    samples.class[v] = classes.label[f];
+                strictest[v as usize] = strictest[v as usize].min(budgets[classes.label[f].index()] as f32);
+                let first = samples.face[v as usize];
+                let own = first == NONE || leaf_of_face[first as usize] == leaf_of_face[f];
+                let s = if own { v } else { *further.entry((v, leaf_of_face[f])).or_insert_with(|| samples.push(v)) }
+                    as usize;
+                largest.resize(samples.vertex.len(), -1.0);
+                if area > largest[s] {
+                    largest[s] = area;
+                    samples.face[s] = f as u32;
+                    samples.omega[s] = omega[f];
+                    samples.class[s] = classes.label[f];
                 }
             }
         }
+        for (budget, &v) in samples.budget_m.iter_mut().zip(&samples.vertex) {
+            *budget = strictest[v as usize];
+        }
         samples
+    }
+
+    fn push(&mut self, vertex: u32) -> u32 {
+        self.vertex.push(vertex);
+        self.face.push(NONE);
+        self.budget_m.push(f32::INFINITY);
+        self.omega.push(0.0);
+        self.class.push(ClassId(0));
+        self.vertex.len() as u32 - 1
     }
 }
 

@@ -53,6 +53,8 @@ pub struct GateReport {
     pub duplicate: usize,
     /// Triangles dropped for a vertex that is not finite.
     pub not_finite: usize,
+    /// Furthest that welding moved a vertex, metres: part of every tile's error.
+    pub moved_m: f64,
 }
 
 /// Grid cells are this many tolerances wide, so that few vertices lie near a cell's border.
@@ -95,6 +97,8 @@ pub fn gate(source: Source, config: &GateConfig, reporter: &Reporter) -> Result<
     }
     reporter.check()?;
     let root = weld(&mesh.positions, config.weld_m);
+    let moved = |v: usize| (mesh.positions[root[v] as usize] - mesh.positions[v]).length();
+    report.moved_m = (0..root.len()).filter(|&v| root[v] as usize != v).map(moved).fold(0.0, f64::max);
     for face in &mut mesh.faces {
         *face = face.map(|v| root[v as usize]);
     }
@@ -274,6 +278,14 @@ mod tests {
             let (mesh, report) = gated(&twin, &[[0, 1, 2], [3, 4, 5]]);
             assert_eq!((mesh.positions.len(), report.faces), (4, 2), "shift {s}");
         }
+    }
+
+    #[test]
+    fn the_report_says_how_far_welding_moved_a_vertex() {
+        let near = [[0., 0., 0.], [1., 0., 0.], [1., 1., 0.], [0.0008, 0., 0.], [0., 1., 0.]];
+        let (mesh, report) = gated(&near, &[[0, 1, 2], [3, 2, 4]]);
+        assert_eq!(mesh.positions.len(), 4);
+        assert!((report.moved_m - 0.0008).abs() < 1e-5, "{}", report.moved_m);
     }
 
     #[test]

@@ -84,6 +84,7 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
         texel_factor: config.write.texel_factor,
         copyright: copyright.as_deref(),
         normals: config.write.normals,
+        moved_m: gate.moved_m + partition.moved_m,
     };
     let written = write_tiles(&tree, &maker, config, &output, reporter)?;
     let root = entry(&tree, tree.tiles.len() - 1, &written, &config.classes, config.write.texel_factor);
@@ -155,9 +156,9 @@ fn surface_bounds(source: &Source) -> Aabb {
 fn weld(source: Source, config: &Config, reporter: &Reporter) -> Result<(Mesh, GateReport)> {
     let stage = reporter.stage("mesh", 0);
     let (mesh, gate) = mesh::gate(source, &config.gate, reporter)?;
-    let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite } = gate;
+    let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite, moved_m } = gate;
     stage.finish(format!(
-        "{vertices_in} → {vertices} vertices, {faces_in} → {faces} triangles ({degenerate} degenerate, {duplicate} duplicate, {not_finite} not finite)"
+        "{vertices_in} → {vertices} vertices, {faces_in} → {faces} triangles ({degenerate} degenerate, {duplicate} duplicate, {not_finite} not finite), moved by up to {:.1} mm", 1e3 * moved_m
     ));
     Ok((mesh, gate))
 }

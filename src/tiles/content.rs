@@ -26,7 +26,7 @@ pub struct MadeTile {
     pub content: TileContent,
     /// Box of the surface, local metres.
     pub bounds: Aabb,
-    /// Certified two-sided distance to the source, metres; 0 for a leaf.
+    /// Certified two-sided distance to the source, metres: of a leaf, what the gate and rounding moved.
     pub geometry_m: f64,
     /// Size of a texel, metres; 0 without texture.
     pub texel_m: f64,
@@ -65,6 +65,8 @@ pub struct Maker<'a> {
     pub copyright: Option<&'a str>,
     /// Write vertex normals.
     pub normals: bool,
+    /// Furthest that any vertex of the source was moved before it came here, metres: added to every bound.
+    pub moved_m: f64,
 }
 
 /// Part of the source, with vertices of its own.
@@ -237,9 +239,19 @@ impl Maker<'_> {
             content.faces.push([0, 1, 2].map(corner));
         }
         content.atlas = paint.map(|p| encode_jpeg(&p.atlas, quality));
-        // The box of what a viewer sees: f32 vertices about the origin.
-        let seen: Vec<DVec3> = content.positions.iter().map(|p| origin + p.as_dvec3()).collect();
-        MadeTile { bounds: Aabb::of(seen), geometry_m, texel_m, triangles: content.faces.len(), classes, content }
+        // What a viewer sees: f32 vertices about the origin.
+        let seen = |p: DVec3| origin + (p - origin).as_vec3().as_dvec3();
+        let rounding_m = patch.positions.iter().map(|p| (seen(*p) - *p).length()).fold(0.0, f64::max);
+        let added_m = self.moved_m + rounding_m;
+        let classes = classes.into_iter().map(|c| ClassDeviation { bound_m: c.bound_m + added_m, ..c }).collect();
+        MadeTile {
+            bounds: Aabb::of(patch.positions.iter().map(|p| seen(*p))),
+            geometry_m: geometry_m + added_m,
+            texel_m,
+            triangles: content.faces.len(),
+            classes,
+            content,
+        }
     }
 }
 

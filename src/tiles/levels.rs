@@ -71,9 +71,10 @@ impl LevelsConfig {
 const FIRST_TOLERANCE_EDGES: f64 = 1.0 / 16.0;
 /// A level must lose at least this share of the faces of the level below: less is not worth a level.
 const LEAST_REDUCTION: f64 = 0.3;
-/// A step that loses less than this share has stalled; after `MOST_STALLED` of them in a row a level is taken as it is.
-const STALLED_SHARE: f64 = 0.01;
-const MOST_STALLED: u32 = 6;
+/// A step that loses less than this share buys too little for its error; after two of them in a row a level is taken as
+/// it is, or the surface would be spoilt for faces that it cannot lose.
+const STALLED_SHARE: f64 = 0.1;
+const MOST_STALLED: u32 = 2;
 /// Lighter roots are added at most this often.
 const MOST_EXTRA_ROOTS: u32 = 3;
 
@@ -129,7 +130,7 @@ impl TileTree {
     ) -> Result<Self> {
         let mut builder = Builder::new(partition, config, reporter);
         builder.add_leaves();
-        let mut collapser = Collapser::new(&partition.mesh, classes, collapse);
+        let mut collapser = Collapser::new(&partition.mesh, &partition.leaf, classes, collapse);
         let loosest = classes.scheme.0.iter().map(|c| c.budget_m).fold(f64::MIN_POSITIVE, f64::max);
         let mut scale = median_edge_m.max(1e-3) * FIRST_TOLERANCE_EDGES / loosest;
         for depth in (0..partition.depth()).rev() {
@@ -203,7 +204,6 @@ impl<'a> Builder<'a> {
             stalled = if (count - after) as f64 <= STALLED_SHARE * count as f64 { stalled + 1 } else { 0 };
             let heaviest = self.heaviest(collapser, &group);
             let enough = after as f64 <= before as f64 * (1.0 - LEAST_REDUCTION) && heaviest <= most;
-            // The first steps of a level stall by nature: the walls of the level below were just let go.
             if enough || stalled >= MOST_STALLED {
                 return Ok(());
             }

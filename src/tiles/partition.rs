@@ -50,6 +50,8 @@ pub struct Partition {
     pub leaf: Vec<u32>,
     /// All cells, root first, parents before children.
     pub cells: Vec<Cell>,
+    /// Furthest that a vertex was moved onto a wall, metres.
+    pub moved_m: f64,
 }
 
 impl Partition {
@@ -58,10 +60,12 @@ impl Partition {
         let cells = grow(&mesh, &weight, most);
         let tree = Tree(&cells);
         let mut mesh = mesh;
-        mesh.positions.par_iter_mut().for_each(|p| *p = tree.snapped(*p));
+        let snapped: Vec<DVec3> = mesh.positions.par_iter().map(|p| tree.snapped(*p)).collect();
+        let moved_m = mesh.positions.iter().zip(&snapped).map(|(p, q)| (*p - *q).length()).fold(0.0, f64::max);
+        mesh.positions = snapped;
         let pieces: Vec<Vec<Piece>> =
             (0..mesh.faces.len()).into_par_iter().map(|f| tree.clip(mesh.corners(f))).collect();
-        Cutter::new(&mesh).assemble(pieces, cells)
+        Self { moved_m, ..Cutter::new(&mesh).assemble(pieces, cells) }
     }
 
     /// The ancestor of leaf `cell` at `depth`, or the leaf itself if it is not deeper.
@@ -369,6 +373,7 @@ impl<'a> Cutter<'a> {
                 materials: mesh.materials.clone(),
             },
             cells,
+            moved_m: 0.0,
         }
     }
 

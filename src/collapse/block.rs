@@ -30,6 +30,9 @@ const STALE_FACTOR: f32 = 1.1;
 const FARTHEST_LENGTHS: f64 = 2.0;
 /// Weight of open borders against the surface beside them, both as squared length.
 const BORDER_WEIGHT: f64 = 1.0;
+/// A tunnel closes when the loop around it is shorter than this many reaches: no wider than what may deviate. Real
+/// scans have hundreds of them, and none of them would let its surroundings go.
+const SMALL_LOOP_REACHES: f64 = 6.0;
 /// A border vertex is tried with at most this many others across a gap, the nearest first.
 const MOST_GAPS: usize = 3;
 
@@ -317,8 +320,9 @@ impl<'a> Run<'a> {
     }
 
     /// What is left of the link condition (Dey et al., Topology preserving edge contraction, 1999) on meshes that are
-    /// full of holes and already non-manifold: no edge may end up with more faces than two or than it had, no two faces
-    /// may fold onto each other. So small holes close and strips pinch instead of stopping everything around them.
+    /// full of holes and already non-manifold: no edge may end up with more faces than two or than it had, unless that
+    /// closes a tunnel too small to matter at this scale; no two faces may fold onto each other. So small holes close
+    /// and strips pinch instead of stopping everything around them.
     fn link_allows(&mut self, u: u32, v: u32, gap: bool) -> bool {
         self.stamp += 1;
         let mut shared = 0;
@@ -370,9 +374,12 @@ impl<'a> Run<'a> {
                 });
             }
         }
+        let [pu, pv] = [u, v].map(|v| self.block.positions[v as usize]);
         let allowed = |w: &u32| {
             let Mark { of_u, of_v, of_both, .. } = self.mark[*w as usize];
-            of_u + of_v - 2 * of_both <= of_u.max(of_v).max(2)
+            let pw = self.block.positions[*w as usize];
+            let loop_m = || (pu - pv).length() + (pv - pw).length() + (pw - pu).length();
+            of_u + of_v - 2 * of_both <= of_u.max(of_v).max(2) || loop_m() <= SMALL_LOOP_REACHES * self.block.reach_m
         };
         !folds && self.ring.iter().all(allowed)
     }

@@ -52,6 +52,8 @@ pub struct Block<'a> {
     pub omega: Vec<f32>,
     /// Per face: index into `boxes`.
     pub group: Vec<u32>,
+    /// Scale t of the step.
+    pub scale: f64,
     /// Open borders nearer than this may join, metres.
     pub reach_m: f64,
     /// Where the faces of a group must stay, in plan.
@@ -314,7 +316,7 @@ impl<'a> Run<'a> {
         if !self.link_allows(u, v, gap) || !self.faces_allow(u, v, p) {
             return;
         }
-        if let Some(share) = self.samples_allow() {
+        if let Some(share) = self.samples_allow().filter(|_| self.spans_allow()) {
             self.perform(u, v, p, energy, share);
         }
     }
@@ -434,6 +436,18 @@ impl<'a> Run<'a> {
         });
         self.moved = moved;
         allowed.then_some(worst as f32)
+    }
+
+    /// True if no new face spans open space: its middle stays within its own budget of the star as it was. Samples hold
+    /// the surface near the source; this holds it away from where the source is not, as far as one collapse can tell.
+    fn spans_allow(&self) -> bool {
+        self.star.iter().filter(|c| !c.dies).all(|c| {
+            let middle = c.corners.iter().sum::<DVec3>() / 3.0;
+            let limit_squared = self.block.scale * self.block.scale / f64::from(self.block.omega[c.face as usize]);
+            self.star.iter().any(|old| {
+                (closest_on_triangle(middle, &self.corners(old.face)) - middle).length_squared() <= limit_squared
+            })
+        })
     }
 
     fn perform(&mut self, u: u32, v: u32, p: DVec3, energy: f32, share: f32) {

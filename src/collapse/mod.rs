@@ -328,6 +328,7 @@ impl<'a> Collapser<'a> {
             faces: faces_local,
             omega: faces.iter().map(|&f| self.omega[f as usize]).collect(),
             group,
+            scale: t,
             reach_m: t * self.strictest_m,
             boxes: &boxes,
             samples: sample_ids

@@ -438,15 +438,20 @@ impl<'a> Run<'a> {
         allowed.then_some(worst as f32)
     }
 
-    /// True if no new face spans open space: its middle stays within its own budget of the star as it was. Samples hold
-    /// the surface near the source; this holds it away from where the source is not, as far as one collapse can tell.
+    /// True if no new face spans open space: its middle, and those of its long sides, stay within its own budget of the
+    /// star as it was. Samples hold the surface near the source; this holds it away from where the source is not, as far
+    /// as one collapse can tell.
     fn spans_allow(&self) -> bool {
         self.star.iter().filter(|c| !c.dies).all(|c| {
-            let middle = c.corners.iter().sum::<DVec3>() / 3.0;
             let limit_squared = self.block.scale * self.block.scale / f64::from(self.block.omega[c.face as usize]);
-            self.star.iter().any(|old| {
-                (closest_on_triangle(middle, &self.corners(old.face)) - middle).length_squared() <= limit_squared
-            })
+            let near = |p: DVec3| {
+                let squared = |old: &Corner| (closest_on_triangle(p, &self.corners(old.face)) - p).length_squared();
+                squared(c) <= limit_squared || self.star.iter().any(|old| squared(old) <= limit_squared)
+            };
+            let [p, q, r] = c.corners;
+            // The middle of a short side is near because its ends are.
+            let side = |a: DVec3, b: DVec3| (b - a).length_squared() <= 4.0 * limit_squared || near((a + b) * 0.5);
+            near((p + q + r) / 3.0) && side(p, q) && side(q, r) && side(r, p)
         })
     }
 

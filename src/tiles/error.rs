@@ -5,9 +5,9 @@
 //! # Method
 //! 1. *Measure.* Source: distances at the centres of about 50 000 of its faces, weighted by their area. Tile, whose
 //!    faces are large: distances at the centres of equal parts of each face.
-//! 2. *Bound.* The distance to a triangle is convex, so if one triangle T of the other surface is nearest to all three
-//!    corners, the largest of the three distances to T bounds the whole face; otherwise the least of such maxima over
-//!    the triangles found, and of d(corner) + longest edge there (distance is 1-Lipschitz).
+//! 2. *Bound.* Distance is 1-Lipschitz: d(corner) + longest edge there bounds a face. Where that is not enough: the
+//!    distance to a triangle is convex, so the largest of the corners' distances to one triangle T of the other surface
+//!    bounds the whole face; the least of these over the triangles nearest to the corners is taken.
 //! 3. Faces whose bound passes the largest distance seen by more than the tolerance are quartered until it does not.
 //!
 //! # Promises
@@ -232,17 +232,19 @@ struct Search<'a> {
 }
 
 impl Search<'_> {
-    /// An upper bound of the distance anywhere on the triangle.
-    fn upper(&self, corners: &[Corner; 3]) -> f64 {
-        let mut best = f64::INFINITY;
-        for (k, c) in corners.iter().enumerate() {
-            if c.hit.face == u32::MAX {
-                return f64::INFINITY;
-            }
+    /// An upper bound of the distance anywhere on the triangle; not made tighter once it is below `enough`.
+    fn upper(&self, corners: &[Corner; 3], enough: f64) -> f64 {
+        if corners.iter().any(|c| c.hit.face == u32::MAX) {
+            return f64::INFINITY;
+        }
+        // Distance is 1-Lipschitz. This settles most faces, for the largest distance is far above the usual.
+        let reach = |k: usize| {
             let others = [corners[(k + 1) % 3].at, corners[(k + 2) % 3].at];
-            let reach = others.iter().map(|p| (*p - c.at).length()).fold(0.0, f64::max);
-            best = best.min(c.hit.distance + reach);
-            if corners[..k].iter().any(|e| e.hit.face == c.hit.face) {
+            others.iter().map(|p| (*p - corners[k].at).length()).fold(0.0, f64::max)
+        };
+        let mut best = (0..3).map(|k| corners[k].hit.distance + reach(k)).fold(f64::INFINITY, f64::min);
+        for (k, c) in corners.iter().enumerate() {
+            if best <= enough || corners[..k].iter().any(|e| e.hit.face == c.hit.face) {
                 continue;
             }
             let triangle = self.to.faces[c.hit.face as usize].map(|v| self.to.positions[v as usize]);
@@ -260,7 +262,7 @@ impl Search<'_> {
 
     /// Settles a face whose bound is good enough, keeps it otherwise.
     fn file(&mut self, corners: [Corner; 3], class: usize, found: &mut [Deviation]) {
-        let upper = self.upper(&corners);
+        let upper = self.upper(&corners, good(&found[class]));
         if upper <= good(&found[class]) {
             found[class].upper_m = found[class].upper_m.max(upper);
         } else {
@@ -289,7 +291,7 @@ impl Search<'_> {
                     found[class].lower_m = found[class].lower_m.max(m.hit.distance);
                 }
                 for part in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
-                    stack.push((self.upper(&part).min(upper), class, part, depth + 1));
+                    stack.push((self.upper(&part, good(&found[class])).min(upper), class, part, depth + 1));
                 }
             }
         }

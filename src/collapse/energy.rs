@@ -62,9 +62,8 @@ impl Quadric {
         ];
         let mut r = [-g.x, -g.y, -g.z];
         for k in (0..3).filter(|&k| fixed[k]) {
-            for i in 0..3 {
-                (m[k][i], m[i][k]) = (0.0, 0.0);
-            }
+            m[k] = [0.0; 3];
+            m.iter_mut().for_each(|row| row[k] = 0.0);
             (m[k][k], r[k]) = (lambda, 0.0);
         }
         start + solve(m, r)

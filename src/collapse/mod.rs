@@ -249,7 +249,7 @@ impl<'a> Collapser<'a> {
     /// Faces by block: a k-d tree over face centres in plan, cut off the middle in every other step.
     fn split_into_blocks(&self) -> Vec<Vec<u32>> {
         // 0.5 and 0.36: far enough apart that no block border of one step lies near one of the next.
-        let share = if self.log.steps.len() % 2 == 0 { 0.5 } else { 0.36 };
+        let share = if self.log.steps.len().is_multiple_of(2) { 0.5 } else { 0.36 };
         let centers: Vec<DVec2> =
             self.faces.par_iter().map(|f| f.iter().map(|&v| self.positions[v as usize].truncate()).sum()).collect();
         let all: Vec<u32> = (0..self.faces.len() as u32).collect();
@@ -375,11 +375,11 @@ impl<'a> Collapser<'a> {
     fn compact(&mut self) {
         let mut new_id = vec![NONE; self.faces.len()];
         let mut count = 0;
-        for f in 0..self.faces.len() {
+        for (f, id) in new_id.iter_mut().enumerate() {
             if self.faces[f][0] == NONE {
                 continue;
             }
-            new_id[f] = count as u32;
+            *id = count as u32;
             self.faces[count] = self.faces[f];
             self.face_ids[count] = self.face_ids[f];
             self.omega[count] = self.omega[f];

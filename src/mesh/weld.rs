@@ -195,15 +195,15 @@ fn clean(mesh: &mut Mesh, report: &mut GateReport) {
         }
     }
     drop(keys);
-    for f in 0..mesh.faces.len() {
+    for (f, keep) in keep.iter_mut().enumerate() {
         let [a, b, c] = mesh.faces[f];
         if !mesh.corners(f).iter().all(|p| p.is_finite()) {
             report.not_finite += 1;
-            keep[f] = false;
+            *keep = false;
         } else if a == b || b == c || c == a || mesh.cross(f).length_squared() == 0.0 {
             report.degenerate += 1;
-            keep[f] = false;
-        } else if !keep[f] {
+            *keep = false;
+        } else if !*keep {
             report.duplicate += 1;
         }
     }
@@ -222,9 +222,9 @@ fn compact(mesh: &mut Mesh) {
         new_id[*v as usize] = 0;
     }
     let mut count = 0;
-    for v in 0..new_id.len() {
-        if new_id[v] == 0 {
-            new_id[v] = count;
+    for (v, id) in new_id.iter_mut().enumerate() {
+        if *id == 0 {
+            *id = count;
             mesh.positions[count as usize] = mesh.positions[v];
             if !mesh.vertex_colors.is_empty() {
                 mesh.vertex_colors[count as usize] = mesh.vertex_colors[v];

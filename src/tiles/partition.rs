@@ -313,6 +313,16 @@ fn cut(a: &Corner, b: &Corner, axis: usize, value: f64) -> Corner {
     Corner { at, share: a.share + (b.share - a.share) * t }
 }
 
+/// A triangle of the cut mesh.
+struct Row {
+    leaf: u32,
+    /// The face it is part of.
+    face: u32,
+    corners: [u32; 3],
+    /// Barycentric coordinates of its corners in that face, where they are not the face's own.
+    shares: Option<[DVec3; 3]>,
+}
+
 /// Puts pieces together into one mesh.
 struct Cutter<'a> {
     mesh: &'a Mesh,
@@ -327,41 +337,41 @@ impl<'a> Cutter<'a> {
     }
 
     fn assemble(mut self, pieces: Vec<Vec<Piece>>, cells: Vec<Cell>) -> Partition {
-        // (leaf, face, corners as vertices, corner shares where they are not the face's own)
-        let mut rows: Vec<(u32, u32, [u32; 3], Option<[DVec3; 3]>)> = Vec::with_capacity(pieces.len());
+        let mut rows: Vec<Row> = Vec::with_capacity(pieces.len());
         for (f, of_face) in pieces.into_iter().enumerate() {
             for piece in of_face {
                 if piece.whole {
-                    rows.push((piece.leaf, f as u32, self.mesh.faces[f], None));
+                    rows.push(Row { leaf: piece.leaf, face: f as u32, corners: self.mesh.faces[f], shares: None });
                     continue;
                 }
                 let ids: Vec<u32> = piece.corners.iter().map(|c| self.vertex(f, c)).collect();
                 for triangle in triangulate(&piece.corners) {
                     let [a, b, c] = triangle.map(|i| ids[i]);
                     if a != b && b != c && c != a {
-                        rows.push((piece.leaf, f as u32, [a, b, c], Some(triangle.map(|i| piece.corners[i].share))));
+                        let shares = Some(triangle.map(|i| piece.corners[i].share));
+                        rows.push(Row { leaf: piece.leaf, face: f as u32, corners: [a, b, c], shares });
                     }
                 }
             }
         }
-        rows.sort_by_key(|r| r.0);
+        rows.sort_by_key(|r| r.leaf);
         let mesh = self.mesh;
-        let corner_uvs = |row: &(u32, u32, [u32; 3], Option<[DVec3; 3]>)| {
-            let uvs = mesh.corner_uvs[row.1 as usize];
-            row.3.map_or(uvs, |shares| {
+        let corner_uvs = |row: &Row| {
+            let uvs = mesh.corner_uvs[row.face as usize];
+            row.shares.map_or(uvs, |shares| {
                 shares.map(|s| {
                     let [a, b, c] = uvs.map(|uv: Vec2| uv.as_dvec2());
                     (a * s.x + b * s.y + c * s.z).as_vec2()
                 })
             })
         };
-        let by_face = |row: &(u32, u32, [u32; 3], Option<[DVec3; 3]>)| row.1 as usize;
+        let by_face = |row: &Row| row.face as usize;
         Partition {
-            leaf: rows.iter().map(|r| r.0).collect(),
-            origin: rows.iter().map(|r| r.1).collect(),
+            leaf: rows.iter().map(|r| r.leaf).collect(),
+            origin: rows.iter().map(|r| r.face).collect(),
             mesh: Mesh {
                 positions: self.positions,
-                faces: rows.iter().map(|r| r.2).collect(),
+                faces: rows.iter().map(|r| r.corners).collect(),
                 corner_uvs: if mesh.corner_uvs.is_empty() { Vec::new() } else { rows.iter().map(corner_uvs).collect() },
                 face_material: rows.iter().map(|r| mesh.face_material[by_face(r)]).collect(),
                 face_labels: if mesh.face_labels.is_empty() {

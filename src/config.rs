@@ -77,7 +77,8 @@ impl Config {
     pub fn layered(file: Option<&Path>, sets: &[String]) -> Result<Self> {
         let mut merged = Table::try_from(Self::default()).map_err(|e| Error::Bug(format!("defaults: {e}")))?;
         if let Some(path) = file {
-            let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
+            let text = std::fs::read_to_string(path)
+                .map_err(|e| Error::Config(format!("--config {}: cannot be read: {e}", path.display())))?;
             let table: Table = text
                 .parse()
                 .map_err(|e: toml::de::Error| Error::Config(format!("{}: {}", path.display(), e.message())))?;

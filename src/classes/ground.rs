@@ -8,9 +8,12 @@
 //!    slope for the second. A cliff or terrace survives, since an opening cuts only what falls on all sides.
 //! 3. Cells that were cut, and cells without surface, are interpolated from the others, coarse to fine.
 //!
-//! # Limits      a hill with vertical sides narrower than the widest window is an object; a building that hangs on a
-//!               slope without a free side is ground; skirts below a tile's rim can pass for wall feet
-//! # References  Zhang et al., A progressive morphological filter for removing nonground measurements, 2003
+//! # Limits
+//! a hill with vertical sides narrower than the widest window is an object; a building that hangs on a
+//! slope without a free side is ground; skirts below a tile's rim can pass for wall feet
+//!
+//! # References
+//! Zhang et al., A progressive morphological filter for removing nonground measurements, 2003
 
 use glam::DVec3;
 

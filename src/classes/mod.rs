@@ -11,14 +11,23 @@
 //! 5. `context`: roofs that touch form a footprint with a free rim or are none; walls belong to buildings; what is
 //!    under or enclosed by a building is building; tiny patches join what is around them.
 //!
-//! # Numbers     see [`ClassesConfig`]
-//! # Promises    posteriors sum to 1 and the label is their argmax; same result for any number of threads; moving
-//!               the mesh moves nothing else
-//! # Limits      see `ground`; colour is not looked at, so a clipped hedge is a wall
-//! # Cost        measured 0.9 µs a face on one thread of a busy machine (765 k faces), more where the ground grid has
-//!               more cells than the mesh has faces; memory counted, not measured: about 100 bytes a face
-//! # References  Verdie, Lafarge, Alliez, LOD generation for urban scenes, 2015. The paper's energies (Eq. 9
-//!               to 15) come as a variant of their own.
+//! # Numbers
+//! see [`ClassesConfig`]
+//!
+//! # Promises
+//! posteriors sum to 1 and the label is their argmax; same result for any number of threads; moving
+//! the mesh moves nothing else
+//!
+//! # Limits
+//! see `ground`; colour is not looked at, so a clipped hedge is a wall
+//!
+//! # Cost
+//! measured 0.9 µs a face on one thread of a busy machine (765 k faces), more where the ground grid has
+//! more cells than the mesh has faces; memory counted, not measured: about 100 bytes a face
+//!
+//! # References
+//! Verdie, Lafarge, Alliez, LOD generation for urban scenes, 2015. The paper's energies (Eq. 9
+//! to 15) come as a variant of their own.
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

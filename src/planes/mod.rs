@@ -11,11 +11,18 @@
 //! 3. Faces on a border between regions go to the region that fits them best; coplanar neighbours merge; what
 //!    stays small dissolves.
 //!
-//! # Numbers     see [`PlanesConfig`]
-//! # Promises    deterministic for any number of threads; `regions` is sorted by area; ids index it
-//! # Limits      growing itself is serial; a smooth curved surface falls apart into flat patches
-//! # Cost        measured 1.1 µs a face on one thread of a busy machine (765 k faces); memory counted, not measured:
-//!               about 100 bytes a face while it runs
+//! # Numbers
+//! see [`PlanesConfig`]
+//!
+//! # Promises
+//! deterministic for any number of threads; `regions` is sorted by area; ids index it
+//!
+//! # Limits
+//! growing itself is serial; a smooth curved surface falls apart into flat patches
+//!
+//! # Cost
+//! measured 1.1 µs a face on one thread of a busy machine (765 k faces); memory counted, not measured:
+//! about 100 bytes a face while it runs
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};

@@ -82,10 +82,10 @@ impl Config {
             let table: Table = text
                 .parse()
                 .map_err(|e: toml::de::Error| Error::Config(format!("{}: {}", path.display(), e.message())))?;
-            merge(&mut merged, table);
+            merge(&mut merged, table)?;
         }
         for set in sets {
-            merge(&mut merged, parse_set(set)?);
+            merge(&mut merged, parse_set(set)?)?;
         }
         let config: Self = Value::Table(merged).try_into().map_err(|e: toml::de::Error| {
             Error::Config(format!(
@@ -163,15 +163,21 @@ fn parse_set(set: &str) -> Result<Table> {
     as_toml.parse().or_else(|_| as_text().parse()).map_err(|_: toml::de::Error| wanted())
 }
 
-fn merge(into: &mut Table, from: Table) {
+fn merge(into: &mut Table, from: Table) -> Result<()> {
     for (key, value) in from {
         match (into.get_mut(&key), value) {
-            (Some(Value::Table(below)), Value::Table(above)) => merge(below, above),
+            (Some(Value::Table(below)), Value::Table(above)) => merge(below, above)?,
+            (Some(Value::Table(_)), value) => {
+                return Err(Error::Config(format!(
+                    "settings: {key} is a group of settings, not {value}; set {key}.NAME"
+                )));
+            }
             (_, value) => {
                 into.insert(key, value);
             }
         }
     }
+    Ok(())
 }
 
 #[cfg(test)]

@@ -298,7 +298,7 @@ const CASES: &[Case] = &[
     },
     Case {
         name: "a config that is not there",
-        code: 3,
+        code: 2,
         says: &["gone.toml"],
         make: |f| house(f, &["--config", "gone.toml"]),
     },

@@ -33,13 +33,15 @@ fn the_tree_has_several_levels_and_every_tile_has_content() {
 }
 
 #[test]
-fn errors_never_grow_towards_the_leaves_and_leaves_have_none() {
+fn errors_never_grow_towards_the_leaves_and_leaves_have_only_what_rounding_moved() {
     let nodes = &town().nodes;
     for node in nodes {
         if let Some(parent) = node.parent {
             assert!(node.error_m <= nodes[parent].error_m, "{} is worse than its parent", node.uri);
         }
-        assert_eq!(node.is_leaf, node.error_m == 0.0, "{}: {} m", node.uri, node.error_m);
+        // Snapping to walls and f32: a tenth of a millimetre each.
+        let rounding_m = 5e-4;
+        assert_eq!(node.is_leaf, node.error_m < rounding_m, "{}: {} m", node.uri, node.error_m);
     }
 }
 

@@ -6,8 +6,8 @@ use glam::{DVec3, Vec2};
 
 use super::body::{Body, Broken};
 use super::header::{Element, Kind, Type};
-use super::polygon::triangulate;
 use super::vertices::{Vertices, label, label_name, v_down};
+use crate::input::triangulate::Triangulator;
 use crate::report::Reporter;
 
 /// What a column of a face row is for.
@@ -63,7 +63,9 @@ pub struct Faces<'a> {
     has_labels: bool,
     row: Row,
     points: Vec<DVec3>,
-    cut: Vec<[usize; 3]>,
+    cut: Vec<[u32; 3]>,
+    triangulator: Triangulator,
+    crossed: u64,
     pub corners: Vec<[u32; 3]>,
     /// Empty if nothing is textured.
     pub uvs: Vec<[Vec2; 3]>,
@@ -88,6 +90,8 @@ impl<'a> Faces<'a> {
             row: Row::default(),
             points: Vec::new(),
             cut: Vec::new(),
+            triangulator: Triangulator::default(),
+            crossed: 0,
             corners: Vec::new(),
             uvs: Vec::new(),
             textures: Vec::new(),
@@ -200,13 +204,13 @@ impl<'a> Faces<'a> {
             self.bad_vertex += corners.len() as u64 - 2;
             return;
         }
+        self.cut.clear();
         if corners.len() == 3 {
-            self.cut.clear();
             self.cut.push([0, 1, 2]);
         } else {
             self.points.clear();
             self.points.extend(corners.iter().map(point));
-            triangulate(&self.points, &mut self.cut);
+            self.crossed += u64::from(!self.triangulator.cut(&self.points, &mut self.cut));
         }
 
         let wedges = if !with_wedges || wedges.len() == 2 * corners.len() { &wedges[..] } else { &[] };
@@ -217,7 +221,8 @@ impl<'a> Faces<'a> {
         let wanted = texture.unwrap_or(0.0);
         let is_textured = is_laid && wanted >= 0.0 && wanted < self.texture_count as f64;
         let texture = if is_textured { wanted as usize } else { self.texture_count };
-        for &triangle in &self.cut {
+        for triangle in &self.cut {
+            let triangle = triangle.map(|corner| corner as usize);
             let face = triangle.map(|corner| corners[corner]);
             self.corners.push(face);
             self.textures.push(texture as u32);
@@ -247,6 +252,12 @@ impl<'a> Faces<'a> {
 
     /// Tells what was dropped.
     pub fn report(&self, path: &Path, reporter: &Reporter) {
+        reporter.warn_many(
+            "bad-polygon",
+            path,
+            self.crossed,
+            "a polygon crosses itself or has no area; it is covered as well as may be",
+        );
         reporter.warn_many("short-polygon", path, self.short, "a face with fewer than three corners was dropped");
         let what = "a position is not finite; the faces that use it were dropped";
         reporter.warn_many("bad-vertex", path, self.bad_vertex, what);

@@ -26,7 +26,6 @@ use crate::{Error, Result};
 mod body;
 mod faces;
 mod header;
-mod polygon;
 #[cfg(test)]
 mod tests;
 mod vertices;

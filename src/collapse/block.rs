@@ -9,7 +9,8 @@ use glam::{DVec3, I64Vec3};
 
 use super::energy::Quadric;
 use super::queue::{Candidate, Queue};
-use super::{Collapse, NONE, PlanBox};
+use super::{Collapse, NONE};
+use crate::geo::Rect;
 use crate::geo::bvh::closest_on_triangle;
 use crate::mesh::on_grid;
 
@@ -57,7 +58,7 @@ pub struct Block<'a> {
     /// Open borders nearer than this may join, metres.
     pub reach_m: f64,
     /// Where the faces of a group must stay, in plan.
-    pub boxes: &'a [PlanBox],
+    pub boxes: &'a [Rect],
     /// Per tracked sample: where the source is, relative to `origin`.
     pub samples: Vec<DVec3>,
     /// Per tracked sample: how far the surface may be from it at this scale, metres.
@@ -405,7 +406,7 @@ impl<'a> Run<'a> {
                 let new = facet(corners);
                 let old = &self.facets[f as usize];
                 let turned = old.area > 0.0 && new.normal.dot(old.normal) < LEAST_TURN_COS;
-                allowed &= !turned && new.area > 0.0 && self.block.boxes[group as usize].holds(p);
+                allowed &= !turned && new.area > 0.0 && self.block.boxes[group as usize].contains(p.truncate(), 0.0);
                 star.push(Corner { face: f, group, dies: false, facet: new, corners });
             });
         }

@@ -51,6 +51,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::classes::Classes;
+use crate::geo::Rect;
 use crate::ids::ClassId;
 use crate::mesh::Mesh;
 use block::{BORDER, Block, FIX_X, FIX_Y, LOCKED};
@@ -73,32 +74,12 @@ impl Default for CollapseConfig {
     }
 }
 
-/// A rectangle in plan, local metres.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PlanBox {
-    /// South-west corner.
-    pub min: DVec2,
-    /// North-east corner.
-    pub max: DVec2,
-}
-
-impl PlanBox {
-    /// True inside and on the border.
-    pub fn holds(&self, p: DVec3) -> bool {
-        p.x >= self.min.x && p.x <= self.max.x && p.y >= self.min.y && p.y <= self.max.y
-    }
-
-    fn moved(&self, by: DVec2) -> Self {
-        Self { min: self.min + by, max: self.max + by }
-    }
-}
-
 /// Faces of a group never leave the group's box, and borders between groups stay on the boxes' walls.
 pub struct Fences<'a> {
     /// Group of every face of the source mesh.
     pub group_of_face: &'a [u32],
     /// Box of every group.
-    pub boxes: &'a [PlanBox],
+    pub boxes: &'a [Rect],
 }
 
 /// One collapse: `gone` merges into `kept`, which moves to `position`.
@@ -239,6 +220,11 @@ impl<'a> Collapser<'a> {
         &self.log
     }
 
+    /// Ends the collapse with its record.
+    pub fn into_log(self) -> CollapseLog {
+        self.log
+    }
+
     /// Collapses all that scale `t` admits; returns how many collapses that were.
     pub fn step(&mut self, t: f64, fences: &Fences) -> usize {
         let order = self.split_into_blocks();
@@ -317,7 +303,7 @@ impl<'a> Collapser<'a> {
         let faces_local: Vec<[u32; 3]> = faces.iter().map(|&f| self.faces[f as usize].map(local)).collect();
         let group: Vec<u32> = faces.iter().map(|&f| fences.group_of_face[self.face_ids[f as usize] as usize]).collect();
         let positions: Vec<DVec3> = vertex_ids.iter().map(|&v| self.positions[v as usize] - origin).collect();
-        let boxes: Vec<PlanBox> = fences.boxes.iter().map(|x| x.moved(-origin.truncate())).collect();
+        let boxes: Vec<Rect> = fences.boxes.iter().map(|x| x.moved(-origin.truncate())).collect();
         let mut flags: Vec<u8> = vertex_ids
             .iter()
             .map(
@@ -502,7 +488,7 @@ fn border_vertices(mesh: &Mesh) -> Vec<bool> {
 }
 
 /// Sets `FIX_X` and `FIX_Y` on vertices that faces of several groups share.
-fn mark_walls(flags: &mut [u8], positions: &[DVec3], faces: &[[u32; 3]], group: &[u32], boxes: &[PlanBox]) {
+fn mark_walls(flags: &mut [u8], positions: &[DVec3], faces: &[[u32; 3]], group: &[u32], boxes: &[Rect]) {
     let mut first = vec![NONE; positions.len()];
     let mut shared = vec![false; positions.len()];
     for (face, &g) in faces.iter().zip(group) {

@@ -29,8 +29,8 @@ fn one_class(mesh: &Mesh) -> Classes {
     Classes { scheme, posterior, label: vec![ClassId::TERRAIN; mesh.faces.len()] }
 }
 
-fn everywhere() -> PlanBox {
-    PlanBox { min: DVec2::splat(-1e9), max: DVec2::splat(1e9) }
+fn everywhere() -> Rect {
+    Rect { min: DVec2::splat(-1e9), max: DVec2::splat(1e9) }
 }
 
 fn run<'a>(mesh: &'a Mesh, classes: &Classes, block_faces: usize, scales: &[f64]) -> Collapser<'a> {
@@ -103,10 +103,10 @@ fn every_prefix_of_the_log_is_a_valid_mesh() {
 fn walls_are_kept() {
     let mesh = terrain(32);
     let classes = one_class(&mesh);
-    let boxes: Vec<PlanBox> = (0..4)
+    let boxes: Vec<Rect> = (0..4)
         .map(|i| {
             let min = DVec2::new(f64::from(i % 2), f64::from(i / 2)) * 16.0;
-            PlanBox { min, max: min + 16.0 }
+            Rect { min, max: min + 16.0 }
         })
         .collect();
     let group: Vec<u32> = (0..mesh.faces.len())
@@ -123,7 +123,7 @@ fn walls_are_kept() {
     assert!(cut.faces.len() < mesh.faces.len() / 10, "{} faces", cut.faces.len());
     for (face, &id) in cut.faces.iter().zip(&cut.face_ids) {
         let cell = &boxes[group[id as usize] as usize];
-        assert!(face.iter().all(|&v| cell.holds(cut.positions[v as usize])));
+        assert!(face.iter().all(|&v| cell.contains(cut.positions[v as usize].truncate(), 0.0)));
     }
     // The border of each group along x = 16 is the same set of vertices from both sides.
     let along = |side: u32| {
@@ -151,7 +151,7 @@ fn a_group_keeps_its_own_surface() {
     let classes = one_class(&mesh);
     let wall = 3.0;
     let boxes = [DVec2::new(-10.0, -10.0), DVec2::new(wall, -10.0)]
-        .map(|min| PlanBox { min, max: DVec2::new(if min.x < 0.0 { wall } else { 30.0 }, 30.0) });
+        .map(|min| Rect { min, max: DVec2::new(if min.x < 0.0 { wall } else { 30.0 }, 30.0) });
     let group: Vec<u32> =
         (0..mesh.faces.len()).map(|f| u32::from(mesh.corners(f).iter().any(|p| p.x > wall))).collect();
     let mut collapser = Collapser::new(&mesh, &group, &classes, &CollapseConfig { block_faces: 10_000 });

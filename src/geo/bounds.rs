@@ -97,6 +97,11 @@ impl Rect {
         point.cmpge(self.min - tolerance).all() && point.cmple(self.max + tolerance).all()
     }
 
+    /// The same rectangle elsewhere.
+    pub fn moved(&self, by: DVec2) -> Self {
+        Self { min: self.min + by, max: self.max + by }
+    }
+
     /// Edge lengths; zero when empty.
     pub fn size(&self) -> DVec2 {
         if self.is_empty() { DVec2::ZERO } else { self.max - self.min }

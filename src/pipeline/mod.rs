@@ -70,8 +70,7 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
     let (mesh, gate) = weld(source, config, reporter)?;
     let mut images = Images::new(images, reporter);
     images.cover(&Surface::from(&mesh));
-    let (classes, median_edge_m) = classify(&mesh, config, reporter)?;
-    let shares = shares(&mesh, &classes);
+    let (classes, median_edge_m, shares) = classify(&mesh, config, reporter)?;
     let accuracy = job.labels_are_truth.then(|| agreement(&mesh, &classes));
     let (partition, classes) = cut(mesh, classes, &images, config, reporter)?;
     let tree = simplify(&partition, &classes, median_edge_m, config, reporter)?;
@@ -163,18 +162,19 @@ fn weld(source: Source, config: &Config, reporter: &Reporter) -> Result<(Mesh, G
     Ok((mesh, gate))
 }
 
-fn classify(mesh: &Mesh, config: &Config, reporter: &Reporter) -> Result<(Classes, f64)> {
+fn classify(mesh: &Mesh, config: &Config, reporter: &Reporter) -> Result<(Classes, f64, Vec<ClassShare>)> {
     let stage = reporter.stage("planes", 0);
     let planes = planes::grow(mesh, &config.planes);
     stage.finish(format!("{} regions, median edge {:.3} m", planes.regions.len(), planes.median_edge_m));
     reporter.check()?;
     let stage = reporter.stage("classes", 0);
     let classes = classes::label(mesh, &planes, &config.classes, &config.classify);
-    let total: f64 = shares(mesh, &classes).iter().map(|s| s.area_m2).sum();
-    let parts = shares(mesh, &classes).into_iter().map(|s| format!("{} {:.0} %", s.class, 100.0 * s.area_m2 / total));
+    let shares = shares(mesh, &classes);
+    let total: f64 = shares.iter().map(|s| s.area_m2).sum();
+    let parts = shares.iter().map(|s| format!("{} {:.0} %", s.class, 100.0 * s.area_m2 / total));
     stage.finish(parts.collect::<Vec<_>>().join(", "));
     reporter.check()?;
-    Ok((classes, planes.median_edge_m))
+    Ok((classes, planes.median_edge_m, shares))
 }
 
 /// Classes against the labels of the source, weighted by area.

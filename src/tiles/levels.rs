@@ -17,7 +17,8 @@ use serde::{Deserialize, Serialize};
 
 use super::partition::Partition;
 use crate::classes::Classes;
-use crate::collapse::{CollapseConfig, CollapseLog, Collapser, Fences, PlanBox};
+use crate::collapse::{CollapseConfig, CollapseLog, Collapser, Fences};
+use crate::geo::Rect;
 use crate::ids::ClassId;
 use crate::report::Reporter;
 use crate::{Error, Result};
@@ -148,8 +149,7 @@ impl TileTree {
             }
             builder.add_root(&collapser);
         }
-        let log = collapser.log().clone();
-        builder.finish(log)
+        builder.finish(collapser.into_log())
     }
 }
 
@@ -191,7 +191,7 @@ impl<'a> Builder<'a> {
     /// Steps on until no cell of `depth` that needs content has more than `most` faces and the level is worth having.
     fn collapse_to(&self, collapser: &mut Collapser, scale: &mut f64, depth: u8, most: usize) -> Result<()> {
         let group: Vec<u32> = self.partition.leaf.iter().map(|&leaf| self.partition.ancestor(leaf, depth)).collect();
-        let boxes: Vec<PlanBox> = self.partition.cells.iter().map(|c| c.plan).collect();
+        let boxes: Vec<Rect> = self.partition.cells.iter().map(|c| c.plan).collect();
         let fences = Fences { group_of_face: &group, boxes: &boxes };
         let before = collapser.face_count();
         let mut stalled = 0;

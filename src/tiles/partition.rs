@@ -18,7 +18,7 @@ use std::collections::HashMap;
 use glam::{DVec2, DVec3, Vec2};
 use rayon::prelude::*;
 
-use crate::collapse::PlanBox;
+use crate::geo::Rect;
 use crate::mesh::{GRID_PER_M, Mesh, on_grid};
 
 /// Vertices this near to a wall are moved onto it, metres: the rounding of published coordinates.
@@ -30,7 +30,7 @@ const DEEPEST: u8 = 14;
 #[derive(Debug, Clone)]
 pub struct Cell {
     /// Where it is, local metres.
-    pub plan: PlanBox,
+    pub plan: Rect,
     /// Root: 0.
     pub depth: u8,
     /// South-west, south-east, north-west, north-east; none for a leaf.
@@ -107,7 +107,7 @@ fn grow(mesh: &Mesh, weight: &(impl Fn(usize) -> f64 + Sync), most: f64) -> Vec<
     let half = (((high - low).max_element() * 0.5 + SNAP_M) / unit).ceil().max(1.0) * unit;
     let center = ((low + high) * 0.5 / unit).round() * unit;
     let half = half + unit;
-    let root = Cell { plan: PlanBox { min: center - half, max: center + half }, depth: 0, children: None, parent: 0 };
+    let root = Cell { plan: Rect { min: center - half, max: center + half }, depth: 0, children: None, parent: 0 };
     let centers: Vec<(DVec2, f64)> = (0..mesh.faces.len())
         .into_par_iter()
         .map(|f| (mesh.corners(f).iter().map(|p| p.truncate()).sum::<DVec2>() / 3.0, weight(f)))
@@ -120,7 +120,7 @@ fn grow(mesh: &Mesh, weight: &(impl Fn(usize) -> f64 + Sync), most: f64) -> Vec<
         if total <= most || depth == DEEPEST {
             continue;
         }
-        let middle = (plan.min + plan.max) * 0.5;
+        let middle = plan.center();
         let mut parts: [Vec<u32>; 4] = Default::default();
         for f in faces {
             parts[quadrant(centers[f as usize].0, middle)].push(f);
@@ -136,7 +136,7 @@ fn grow(mesh: &Mesh, weight: &(impl Fn(usize) -> f64 + Sync), most: f64) -> Vec<
                 if i & 1 == 0 { middle.x } else { plan.max.x },
                 if i & 2 == 0 { middle.y } else { plan.max.y },
             );
-            cells.push(Cell { plan: PlanBox { min: low, max: high }, depth: depth + 1, children: None, parent: at });
+            cells.push(Cell { plan: Rect { min: low, max: high }, depth: depth + 1, children: None, parent: at });
             open.push((first + i as u32, part));
         }
     }
@@ -168,8 +168,7 @@ struct Tree<'a>(&'a [Cell]);
 
 impl Tree<'_> {
     fn middle(&self, cell: u32) -> DVec2 {
-        let plan = &self.0[cell as usize].plan;
-        (plan.min + plan.max) * 0.5
+        self.0[cell as usize].plan.center()
     }
 
     /// `p`, on each wall of its cells that it is within `SNAP_M` of.
@@ -487,7 +486,7 @@ mod tests {
         for (f, &leaf) in partition.leaf.iter().enumerate() {
             let plan = partition.cells[leaf as usize].plan;
             assert!(partition.cells[leaf as usize].children.is_none());
-            assert!(partition.mesh.corners(f).iter().all(|p| plan.holds(*p)));
+            assert!(partition.mesh.corners(f).iter().all(|p| plan.contains(p.truncate(), 0.0)));
         }
     }
 

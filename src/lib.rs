@@ -26,6 +26,7 @@ pub mod planes;
 pub mod report;
 pub mod schema;
 pub mod serve;
+pub mod store;
 pub mod texture;
 pub mod tiles;
 pub mod write;

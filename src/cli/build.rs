@@ -7,10 +7,11 @@ use rayon::prelude::*;
 use super::{Outcome, print, print_json};
 use crate::config::Config;
 use crate::geo::{Georeference, georeference};
-use crate::input::discover::Found;
+use crate::input::discover::{Found, discover};
 use crate::input::{self, InputConfig};
-use crate::pipeline::{self, InputDigest, Job};
+use crate::pipeline::{self, Feed, InputDigest, Job, Resources};
 use crate::report::Reporter;
+use crate::store::memory;
 use crate::{Error, Result};
 
 #[derive(clap::Args)]
@@ -34,6 +35,13 @@ pub struct Args {
     /// Height of the input's zero above the ellipsoid (geoid undulation), metres.
     #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
     height_offset: Option<f64>,
+    /// Memory to stay within, for instance 2GB or 4GiB; the output does not depend on it. Default: a third of the
+    /// machine's.
+    #[arg(long, value_name = "BYTES")]
+    memory: Option<String>,
+    /// Go on with what a killed run, or one whose disk was full, left beside the output.
+    #[arg(long)]
+    resume: bool,
     /// Follow paths in the input that lead out of its folder.
     #[arg(long)]
     allow_outside: bool,
@@ -95,24 +103,32 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     refuse_nesting(out, &args.inputs)?;
     let asked = georeference_asked(args)?;
 
-    let stage = reporter.stage("input", 0);
-    let read = InputConfig { allow_outside: args.allow_outside, root: None };
-    let (source, found) = input::read(&args.inputs, &read, reporter)?;
+    let found = discover(&args.inputs, reporter)?;
     let georeference = match asked {
         Some(georeference) => georeference,
         None => georeference_found(&found, args)?,
     };
     let inputs = digests(&found.files)?;
-    let triangles: usize = source.parts.iter().map(|p| p.faces.len()).sum();
-    stage.finish(format!("{} files, {triangles} triangles, {} images", found.files.len(), source.images.len()));
-
+    let read = InputConfig { allow_outside: args.allow_outside, root: None };
     let job = Job { out, force: args.force, config: &config, georeference, inputs, labels_are_truth: false };
-    let report = pipeline::build(source, &job, reporter)?;
+    let resources = Resources { memory: memory_asked(args)?, resume: args.resume };
+    let report = pipeline::build_from(Feed::Files(found, read), &job, &resources, reporter)?;
     reporter.say(&report.to_string());
     if json {
         print_json(&report)?;
     }
     Ok(Outcome::Fine)
+}
+
+/// Less than this is not enough for one window of cells.
+const LEAST_MEMORY_BYTES: u64 = 500_000_000;
+
+fn memory_asked(args: &Args) -> Result<u64> {
+    let Some(text) = &args.memory else { return Ok(memory::default_bytes().max(LEAST_MEMORY_BYTES)) };
+    match memory::parse_bytes(text) {
+        Some(bytes) if bytes >= LEAST_MEMORY_BYTES => Ok(bytes),
+        _ => Err(Error::Config(format!("--memory {text}: wanted at least 500MB, for instance 2GB or 4GiB"))),
+    }
 }
 
 /// What `--crs` and `--origin` say, if anything.

@@ -42,6 +42,7 @@
 mod block;
 mod energy;
 mod queue;
+pub mod window;
 
 use std::cmp::Ordering;
 use std::collections::HashMap;
@@ -182,7 +183,7 @@ impl<'a> Collapser<'a> {
             config: config.clone(),
             source: mesh,
             positions: mesh.positions.clone(),
-            border: border_vertices(mesh),
+            border: border_of(mesh.positions.len(), &mesh.faces),
             faces: mesh.faces.clone(),
             face_ids: (0..mesh.faces.len() as u32).collect(),
             omega,
@@ -472,14 +473,13 @@ impl Samples {
 }
 
 /// Vertices on an edge with one face.
-fn border_vertices(mesh: &Mesh) -> Vec<bool> {
-    let mut edges: Vec<(u32, u32)> = mesh
-        .faces
+fn border_of(vertices: usize, faces: &[[u32; 3]]) -> Vec<bool> {
+    let mut edges: Vec<(u32, u32)> = faces
         .par_iter()
         .flat_map_iter(|&[a, b, c]| [(a, b), (b, c), (c, a)].map(|(u, v)| (u.min(v), u.max(v))))
         .collect();
     edges.par_sort_unstable();
-    let mut border = vec![false; mesh.positions.len()];
+    let mut border = vec![false; vertices];
     for group in edges.chunk_by(|a, b| a == b).filter(|g| g.len() == 1) {
         border[group[0].0 as usize] = true;
         border[group[0].1 as usize] = true;

@@ -104,9 +104,48 @@ pub const DEFAULT_COLOR: [u8; 3] = [180, 180, 180];
 /// Those of [`discover::discover`] and of the readers.
 pub fn read(inputs: &[PathBuf], config: &InputConfig, reporter: &Reporter) -> Result<(Source, Found)> {
     let found = discover::discover(inputs, reporter)?;
+    let mut all = Source::default();
+    read_each(&found, config, u64::MAX, reporter, |source| all.append(source))?;
+    all.share_images();
+    Ok((all, found))
+}
+
+/// Reads the files of `found` and hands them on one by one, in order, each with materials and images of its own; as
+/// many are read at a time as have `most_bytes` together, at least one.
+///
+/// # Errors
+/// Those of the readers, of several the first in order, and those of `take`.
+pub fn read_each(
+    found: &Found,
+    config: &InputConfig,
+    most_bytes: u64,
+    reporter: &Reporter,
+    mut take: impl FnMut(Source) -> Result<()>,
+) -> Result<()> {
+    let bytes = |path: &PathBuf| std::fs::metadata(path).map_or(0, |m| m.len());
+    let mut first = 0;
+    while first < found.files.len() {
+        let (mut end, mut sum) = (first + 1, bytes(&found.files[first]));
+        while end < found.files.len() && sum.saturating_add(bytes(&found.files[end])) <= most_bytes {
+            sum += bytes(&found.files[end]);
+            end += 1;
+        }
+        read_batch(found, first..end, config, reporter, &mut take)?;
+        first = end;
+    }
+    Ok(())
+}
+
+fn read_batch(
+    found: &Found,
+    batch: std::ops::Range<usize>,
+    config: &InputConfig,
+    reporter: &Reporter,
+    take: &mut impl FnMut(Source) -> Result<()>,
+) -> Result<()> {
     // Files after the first that failed need not be read; those before it must, as they may fail too.
     let first_failed = AtomicUsize::new(usize::MAX);
-    let read = |(i, path): (usize, &PathBuf)| {
+    let read = |i: usize| {
         if i > first_failed.load(Ordering::Relaxed) {
             return None;
         }
@@ -114,22 +153,20 @@ pub fn read(inputs: &[PathBuf], config: &InputConfig, reporter: &Reporter) -> Re
         let config = InputConfig { root: Some(root.clone()), ..config.clone() };
         let own = Reporter::new(true);
         let mut source = Source::default();
-        let outcome = reporter.check().and_then(|()| read_file(path, &config, &own, &mut source));
+        let outcome = reporter.check().and_then(|()| read_file(&found.files[i], &config, &own, &mut source));
         if outcome.is_err() {
             first_failed.fetch_min(i, Ordering::Relaxed);
         }
         Some((outcome.map(|()| source), own.warnings()))
     };
-    let sources: Vec<_> = found.files.par_iter().enumerate().map(read).collect();
-    let mut all = Source::default();
+    let sources: Vec<_> = batch.into_par_iter().map(read).collect();
     for (source, warnings) in sources.into_iter().flatten() {
         for warning in warnings {
             reporter.warn_many(warning.code, &warning.first_path, warning.count, warning.first);
         }
-        all.append(source?)?;
+        take(source?)?;
     }
-    all.share_images();
-    Ok((all, found))
+    Ok(())
 }
 
 fn read_file(path: &Path, config: &InputConfig, reporter: &Reporter, source: &mut Source) -> Result<()> {
@@ -174,7 +211,7 @@ impl Source {
     }
 
     /// Lets all materials that name one image file share one image.
-    fn share_images(&mut self) {
+    pub fn share_images(&mut self) {
         let mut first: HashMap<PathBuf, u32> = HashMap::new();
         let mut kept = Vec::with_capacity(self.images.len());
         let ids: Vec<u32> = std::mem::take(&mut self.images)

@@ -6,7 +6,7 @@ use crate::input::Material;
 
 pub mod weld;
 
-pub use weld::{GateConfig, GateReport, gate};
+pub use weld::{GateConfig, GateReport, gate, gate_unit};
 
 /// Positions sit on a grid of 2⁻²⁰ m (about 1 µm), cell walls included. Differences of grid points are exact in f64
 /// out to 8 000 km, so a vertex on a wall stays on it through every change of origin.

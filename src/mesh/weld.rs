@@ -37,7 +37,7 @@ impl Default for GateConfig {
 }
 
 /// What the gate did.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct GateReport {
     /// Vertices in the source.
     pub vertices_in: usize,
@@ -67,6 +67,17 @@ const EXACT_CELL_M: f64 = 0.01;
 /// # Errors
 /// An input without any usable triangle, or with more than 2³² − 2 vertices.
 pub fn gate(source: Source, config: &GateConfig, reporter: &Reporter) -> Result<(Mesh, GateReport)> {
+    let name = source.parts.first().map(|p| p.path.clone()).unwrap_or_default();
+    let (mesh, report) = gate_unit(source, config, reporter)?;
+    report.say(&name, reporter)?;
+    Ok((mesh, report))
+}
+
+/// [`gate`] for one of several units of an input, which may be empty; the sum of the reports is to be said at the end.
+///
+/// # Errors
+/// More than 2³² − 2 vertices.
+pub fn gate_unit(source: Source, config: &GateConfig, reporter: &Reporter) -> Result<(Mesh, GateReport)> {
     let name = source.parts.first().map(|p| p.path.clone()).unwrap_or_default();
     let faces_in: usize = source.parts.iter().map(|p| p.faces.len()).sum();
     let vertices_in: usize = source.parts.iter().map(|p| p.positions.len()).sum();
@@ -106,18 +117,37 @@ pub fn gate(source: Source, config: &GateConfig, reporter: &Reporter) -> Result<
     clean(&mut mesh, &mut report);
     compact(&mut mesh);
     (report.vertices, report.faces) = (mesh.positions.len(), mesh.faces.len());
-    reporter.warn_many("dropped-degenerate", &name, report.degenerate as u64, "triangles without area");
-    reporter.warn_many("dropped-duplicate", &name, report.duplicate as u64, "triangles that repeat another");
-    reporter.warn_many(
-        "dropped-not-finite",
-        &name,
-        report.not_finite as u64,
-        "triangles with a vertex that is not a finite number",
-    );
-    if mesh.faces.is_empty() {
-        return Err(Error::input(name, format!("none of its {faces_in} triangles has an area; nothing to build")));
-    }
     Ok((mesh, report))
+}
+
+impl GateReport {
+    /// Adds what another unit reports.
+    pub fn add(&mut self, other: &Self) {
+        self.vertices_in += other.vertices_in;
+        self.vertices += other.vertices;
+        self.faces_in += other.faces_in;
+        self.faces += other.faces;
+        self.degenerate += other.degenerate;
+        self.duplicate += other.duplicate;
+        self.not_finite += other.not_finite;
+        self.moved_m = self.moved_m.max(other.moved_m);
+    }
+
+    /// Warns of what was dropped from the input `name`.
+    ///
+    /// # Errors
+    /// An input of which nothing is left.
+    pub fn say(&self, name: &std::path::Path, reporter: &Reporter) -> Result<()> {
+        reporter.warn_many("dropped-degenerate", name, self.degenerate as u64, "triangles without area");
+        reporter.warn_many("dropped-duplicate", name, self.duplicate as u64, "triangles that repeat another");
+        let what = "triangles with a vertex that is not a finite number";
+        reporter.warn_many("dropped-not-finite", name, self.not_finite as u64, what);
+        if self.faces == 0 {
+            let what = format!("none of its {} triangles has an area; nothing to build", self.faces_in);
+            return Err(Error::input(name, what));
+        }
+        Ok(())
+    }
 }
 
 fn extend_or<T: Clone>(all: &mut Vec<T>, part: Vec<T>, wanted: Option<usize>, fill: T) {

@@ -2,31 +2,34 @@
 
 use std::path::Path;
 
-use glam::DVec3;
-use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::json;
 
-use crate::classes::{self, Classes, Confusion};
 use crate::config::Config;
-use crate::geo::{Aabb, Frame, FrameSummary, Georeference};
-use crate::ids::{ClassId, ClassScheme};
+use crate::geo::{FrameSummary, Georeference};
+use crate::ids::ClassScheme;
 use crate::input::Source;
-use crate::mesh::{self, GateReport, Mesh};
-use crate::planes;
+use crate::mesh::GateReport;
 use crate::report::Reporter;
-use crate::texture::{Images, Surface};
-use crate::tiles::content::{ClassDeviation, Maker, texels_of};
-use crate::tiles::levels::Tile;
-use crate::tiles::{Partition, TileTree};
+use crate::store::{Store, memory};
+use crate::texture::Images;
+use crate::tiles::Quadtree;
+use crate::tiles::content::ClassDeviation;
 use crate::write::tileset::bytes as tileset_bytes;
-use crate::write::{self, About, ClassError, GENERATOR, GlbOptions, Output, TileEntry};
+use crate::write::{self, About, ClassError, GENERATOR, Output, TileEntry};
 use crate::{Error, Result};
 
+mod hierarchy;
+mod ingest;
+mod labels;
 pub mod report;
+mod steps;
+mod windows;
 
+use hierarchy::{Hierarchy, Node, content_name};
+pub use ingest::Feed;
 pub use report::BuildReport;
-use report::{ClassShare, LevelRow, level_rows, shares};
+use report::{ClassShare, LevelRow, level_rows};
 
 /// What to build, and where to.
 pub struct Job<'a> {
@@ -61,51 +64,91 @@ pub struct InputDigest {
 /// An output that exists or is busy, a source without surface or outside its coordinate system, the disk, or a wish to
 /// stop. Nothing is left behind then.
 pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildReport> {
-    let config = job.config;
+    build_from(Feed::Memory(source), job, &Resources::default(), reporter)
+}
+
+/// What a run may use; nothing of it shows in the bytes.
+#[derive(Debug, Clone)]
+pub struct Resources {
+    /// Memory, bytes. Default: a third of the machine's.
+    pub memory: u64,
+    /// Go on with what a killed run of the same inputs and settings left.
+    pub resume: bool,
+}
+
+impl Default for Resources {
+    fn default() -> Self {
+        Self { memory: memory::default_bytes(), resume: false }
+    }
+}
+
+/// Builds a tileset from a source of any size, in bounded memory.
+///
+/// # Errors
+/// Those of [`build`]. After a failure of the disk the work done stays beside the output, for [`Resources::resume`].
+pub fn build_from(feed: Feed, job: &Job, resources: &Resources, reporter: &Reporter) -> Result<BuildReport> {
     let output = Output::begin(job.out, job.force)?;
-    let images = source.images.clone();
-    let copyright = credits(&source, &config.write.copyright);
+    let store = Store::open(output.beside(".work"), &token(job), resources.resume)?;
+    let built = build_in(feed, job, resources, output, &store, reporter);
+    match &built {
+        // Trying again may help, and then need not begin at the beginning.
+        Err(Error::Io { .. }) => {}
+        _ => store.discard(),
+    }
+    built
+}
 
-    let (source, frame) = place(source, &job.georeference, reporter)?;
-    let (mesh, gate) = weld(source, config, reporter)?;
-    let mut images = Images::new(images, reporter);
-    images.cover(&Surface::from(&mesh));
-    let (classes, median_edge_m, shares) = classify(&mesh, config, reporter)?;
-    let accuracy = job.labels_are_truth.then(|| agreement(&mesh, &classes));
-    let (partition, classes) = cut(mesh, classes, &images, config, reporter)?;
-    let tree = simplify(&partition, &classes, median_edge_m, config, reporter)?;
+/// Tells builds apart: whatever changes a byte of a page is in it.
+fn token(job: &Job) -> String {
+    let text = serde_json::to_string(&json!({
+        "generator": GENERATOR,
+        "inputs": job.inputs,
+        "config": job.config,
+        "georeference": job.georeference,
+    }));
+    blake3::hash(text.unwrap_or_default().as_bytes()).to_hex().to_string()
+}
 
-    let maker = Maker {
-        partition: &partition,
-        classes: &classes,
-        images: &images,
-        texture: &config.texture,
-        texel_factor: config.write.texel_factor,
-        copyright: copyright.as_deref(),
-        normals: config.write.normals,
-        moved_m: gate.moved_m + partition.moved_m,
-    };
-    let written = write_tiles(&tree, &maker, config, &output, reporter)?;
-    let root = entry(&tree, tree.tiles.len() - 1, &written, &config.classes, config.write.texel_factor);
-    let levels = level_rows(&root, &config.classes);
+fn build_in(
+    feed: Feed,
+    job: &Job,
+    resources: &Resources,
+    output: Output,
+    store: &Store,
+    reporter: &Reporter,
+) -> Result<BuildReport> {
+    let config = job.config;
+    let city = ingest::ingest(feed, job, resources, store, reporter)?;
+    let copyright = credits(&city.copyright, &config.write.copyright);
+    let labels = labels::label(&city, config, job.labels_are_truth, store, reporter)?;
+    let images = Images::with_budget(city.images.clone(), (resources.memory / 8).min(1 << 30), reporter);
+    let mut hierarchy = Hierarchy::new(&city, job, store, &images, copyright.as_deref(), resources, reporter);
+    hierarchy.make(labels.median_edge_m)?;
+
+    let nodes = std::mem::take(&mut hierarchy.nodes);
+    let root = Tree::new(&city.tree, &nodes, &config.classes, config.write.texel_factor).entry(nodes.len() - 1, 0);
+    for (uri, node) in &root.1 {
+        output.adopt(&store.path(&content_name(*node)), uri)?;
+    }
+    let levels = level_rows(&root.0, &config.classes);
     let about = About {
-        ecef_from_local: frame.ecef_from_local(),
+        ecef_from_local: city.frame.ecef_from_local(),
         scheme: &config.classes,
         copyright: copyright.as_deref(),
         texel_factor: config.write.texel_factor,
     };
-    let frame = frame.describe();
-    output.write("build.json", &build_json(job, &frame, &gate, &shares, &levels, reporter))?;
-    output.write("tileset.json", &tileset_bytes(&write::tileset(&root, &about)))?;
+    let frame = city.frame.describe();
+    output.write("build.json", &build_json(job, &frame, &city.gate, &labels.shares, &levels, reporter))?;
+    output.write("tileset.json", &tileset_bytes(&write::tileset(&root.0, &about)))?;
     reporter.check()?;
     output.commit()?;
     Ok(BuildReport {
         out: job.out.to_path_buf(),
         frame,
-        gate,
-        classes: shares,
-        accuracy,
-        tiles: tree.tiles.len(),
+        gate: city.gate.clone(),
+        classes: labels.shares,
+        accuracy: labels.accuracy,
+        tiles: nodes.len(),
         bytes: levels.iter().map(|l| l.bytes).sum(),
         levels,
         warnings: reporter.warnings(),
@@ -116,230 +159,62 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
 /// Largest extent of a model, metres: up to here differences of grid points are exact, see [`mesh::GRID_PER_M`].
 const MOST_EXTENT_M: f64 = 8e6;
 
-/// Takes positions from source coordinates to the local frame.
-fn place(mut source: Source, georeference: &Georeference, reporter: &Reporter) -> Result<(Source, Frame)> {
-    let stage = reporter.stage("frame", 0);
-    let bounds = surface_bounds(&source);
-    let path = source.parts.first().map(|p| p.path.clone()).unwrap_or_default();
-    if bounds.is_empty() {
-        return Err(Error::input(path, "no vertex has finite coordinates; nothing to build"));
+/// The nodes as they are written: boxes hold their children's, errors never fall towards the root.
+struct Tree<'a> {
+    cells: &'a Quadtree,
+    nodes: &'a [Node],
+    scheme: &'a ClassScheme,
+    texel_factor: f64,
+}
+
+impl<'a> Tree<'a> {
+    fn new(cells: &'a Quadtree, nodes: &'a [Node], scheme: &'a ClassScheme, texel_factor: f64) -> Self {
+        Self { cells, nodes, scheme, texel_factor }
     }
-    let anchor = bounds.center().with_z(bounds.min.z).round();
-    let frame = Frame::of(georeference.clone(), anchor)?;
-    frame.warn(reporter, &path);
-    for part in &mut source.parts {
-        frame.locals_from_sources(&part.path, &mut part.positions)?;
-    }
-    let size = surface_bounds(&source).size();
-    if size.max_element() > MOST_EXTENT_M {
-        let what = format!(
-            "the model is {:.1e} m wide, and up to {MOST_EXTENT_M:.0e} m can be placed; look for stray vertices between \
-             {} and {}",
-            size.max_element(),
-            bounds.min,
-            bounds.max
-        );
-        return Err(Error::input(path, what));
-    }
-    let size = bounds.size();
-    stage.finish(format!("{:.0} × {:.0} × {:.0} units, {}", size.x, size.y, size.z, frame.describe()));
-    Ok((source, frame))
-}
 
-/// Of the surface alone: a stray vertex at (0, 0, 0) must not draw the frame away from its model.
-fn surface_bounds(source: &Source) -> Aabb {
-    let corners = source.parts.iter().flat_map(|p| p.faces.iter().flatten().map(|&v| p.positions[v as usize]));
-    Aabb::of(corners.filter(|p| p.is_finite()))
-}
-
-fn weld(source: Source, config: &Config, reporter: &Reporter) -> Result<(Mesh, GateReport)> {
-    let stage = reporter.stage("mesh", 0);
-    let (mesh, gate) = mesh::gate(source, &config.gate, reporter)?;
-    let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite, moved_m } = gate;
-    stage.finish(format!(
-        "{vertices_in} → {vertices} vertices, {faces_in} → {faces} triangles ({degenerate} degenerate, {duplicate} duplicate, {not_finite} not finite), moved by up to {:.1} mm", 1e3 * moved_m
-    ));
-    Ok((mesh, gate))
-}
-
-fn classify(mesh: &Mesh, config: &Config, reporter: &Reporter) -> Result<(Classes, f64, Vec<ClassShare>)> {
-    let stage = reporter.stage("planes", 0);
-    let planes = planes::grow(mesh, &config.planes);
-    stage.finish(format!("{} regions, median edge {:.3} m", planes.regions.len(), planes.median_edge_m));
-    reporter.check()?;
-    let stage = reporter.stage("classes", 0);
-    let classes = classes::label(mesh, &planes, &config.classes, &config.classify);
-    let shares = shares(mesh, &classes);
-    let total: f64 = shares.iter().map(|s| s.area_m2).sum();
-    let parts = shares.iter().map(|s| format!("{} {:.0} %", s.class, 100.0 * s.area_m2 / total));
-    stage.finish(parts.collect::<Vec<_>>().join(", "));
-    reporter.check()?;
-    Ok((classes, planes.median_edge_m, shares))
-}
-
-/// Classes against the labels of the source, weighted by area.
-fn agreement(mesh: &Mesh, classes: &Classes) -> Confusion {
-    let truth: Vec<ClassId> = mesh.face_labels.iter().map(|&l| ClassId(l.max(0) as u8)).collect();
-    let areas: Vec<f64> = (0..mesh.faces.len()).map(|f| mesh.cross(f).length() * 0.5).collect();
-    classes::confusion(&truth, &classes.label, &areas)
-}
-
-fn cut(
-    mesh: Mesh,
-    classes: Classes,
-    images: &Images,
-    config: &Config,
-    reporter: &Reporter,
-) -> Result<(Partition, Classes)> {
-    let stage = reporter.stage("cells", 0);
-    let texels: Vec<f64> = (0..mesh.faces.len())
-        .map(|f| {
-            let image = mesh.materials.get(mesh.face_material[f] as usize).and_then(|m| m.image);
-            match (mesh.corner_uvs.get(f), image) {
-                (Some(uvs), Some(image)) => texels_of(uvs, images.dimensions(image)),
-                _ => 0.0,
-            }
-        })
-        .collect();
-    // A leaf is full when either its faces or its texels are.
-    let levels = &config.levels;
-    let weight = |f: usize| (1.0 / levels.leaf_faces as f64).max(texels[f] / levels.leaf_texels as f64);
-    let before = mesh.faces.len();
-    let partition = Partition::of(mesh, weight, 1.0);
-    let classes = classes.inherited(&partition.origin);
-    let leaves = partition.leaf.chunk_by(|a, b| a == b).count();
-    let after = partition.mesh.faces.len();
-    stage.finish(format!(
-        "{leaves} leaves in {} levels, {before} → {after} triangles along their walls",
-        partition.depth() + 1
-    ));
-    reporter.check()?;
-    Ok((partition, classes))
-}
-
-fn simplify(
-    partition: &Partition,
-    classes: &Classes,
-    median_edge_m: f64,
-    config: &Config,
-    reporter: &Reporter,
-) -> Result<TileTree> {
-    let stage = reporter.stage("collapse", 0);
-    let tree = TileTree::of(partition, classes, median_edge_m, &config.levels, &config.collapse, reporter)?;
-    let last = tree.log.steps.last().map_or(0.0, |s| s.0);
-    stage.finish(format!(
-        "{} collapses in {} steps to scale {last:.2}, {} tiles",
-        tree.log.events.len(),
-        tree.log.steps.len(),
-        tree.tiles.len()
-    ));
-    Ok(tree)
-}
-
-/// What is known of a tile once it is on disk.
-struct Written {
-    uri: String,
-    bytes: u64,
-    bounds: Aabb,
-    geometry_m: f64,
-    texel_m: f64,
-    triangles: usize,
-    classes: Vec<ClassDeviation>,
-}
-
-fn write_tiles(
-    tree: &TileTree,
-    maker: &Maker,
-    config: &Config,
-    output: &Output,
-    reporter: &Reporter,
-) -> Result<Vec<Written>> {
-    let stage = reporter.stage("tiles", tree.tiles.len() as u64);
-    let options =
-        GlbOptions { compress: config.write.compress, primitives_per_class: config.write.primitives_per_class };
-    // The heaviest first: the root needs the whole source and would otherwise run alone at the end.
-    let mut order: Vec<usize> = (0..tree.tiles.len()).collect();
-    let weight = |t: &usize| tree.tiles[*t].source.iter().map(|r| r.len()).sum::<usize>();
-    order.sort_by_key(|t| (std::cmp::Reverse(weight(t)), *t));
-    let next = std::sync::atomic::AtomicUsize::new(0);
-    let work = |_| -> Result<Vec<(usize, Written)>> {
-        let mut done = Vec::new();
-        while let Some(&t) = order.get(next.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) {
-            reporter.check()?;
-            done.push((t, write_tile(&tree.tiles[t], maker, &config.classes, &options, output)?));
-            stage.step(1);
-        }
-        Ok(done)
-    };
-    let threads = rayon::current_num_threads();
-    let done: Result<Vec<Vec<(usize, Written)>>> = (0..threads).into_par_iter().with_max_len(1).map(work).collect();
-    let mut done: Vec<(usize, Written)> = done?.into_iter().flatten().collect();
-    done.sort_by_key(|d| d.0);
-    let bytes: u64 = done.iter().map(|d| d.1.bytes).sum();
-    stage.finish(format!("{} tiles, {:.1} MB", done.len(), bytes as f64 / 1e6));
-    Ok(done.into_iter().map(|d| d.1).collect())
-}
-
-fn write_tile(
-    tile: &Tile,
-    maker: &Maker,
-    scheme: &ClassScheme,
-    options: &GlbOptions,
-    output: &Output,
-) -> Result<Written> {
-    let made = maker.make(tile)?;
-    // Rounding to the compressed grid is an error like any other.
-    let rounding_m = if options.compress { write::quantization_error_m(&made.content) } else { 0.0 };
-    let uri = format!("tiles/{}/{}.glb", tile.level, maker.partition.key(tile.cell));
-    let glb = write::glb(&made.content, scheme, options);
-    output.write(&uri, &glb)?;
-    let outward = DVec3::splat(rounding_m);
-    Ok(Written {
-        uri,
-        bytes: glb.len() as u64,
-        bounds: Aabb { min: made.bounds.min - outward, max: made.bounds.max + outward },
-        geometry_m: made.geometry_m + rounding_m,
-        texel_m: made.texel_m,
-        triangles: made.triangles,
-        classes: made.classes,
-    })
-}
-
-/// The tree as it is written: boxes hold their children's, errors never fall towards the root.
-fn entry(tree: &TileTree, at: usize, written: &[Written], scheme: &ClassScheme, texel_factor: f64) -> TileEntry {
-    let (tile, made) = (&tree.tiles[at], &written[at]);
-    let children: Vec<TileEntry> =
-        tile.children.iter().map(|&c| entry(tree, c as usize, written, scheme, texel_factor)).collect();
-    let of_children = children.iter().map(|c| c.geometric_error_m).fold(0.0, f64::max);
-    // A leaf is the source, texels and all: only what rounding did to it counts.
-    let own = if tile.mesh.is_some() { made.geometry_m.max(texel_factor * made.texel_m) } else { made.geometry_m };
-    let class_error = |d: &ClassDeviation| ClassError {
-        class: d.class,
-        budget_m: scheme[d.class].budget_m * tile.scale,
-        bound_m: d.bound_m,
-        mean_m: d.figures.mean_m,
-        rms_m: d.figures.rms_m,
-        p95_m: d.figures.p95_m,
-        p99_m: d.figures.p99_m,
-        inside_m: d.inside_m,
-    };
-    TileEntry {
-        uri: made.uri.clone(),
-        box_local: children.iter().fold(made.bounds, |b, c| b.union(c.box_local)),
-        geometric_error_m: own.max(of_children),
-        geometry_m: made.geometry_m,
-        texel_m: made.texel_m,
-        triangles: made.triangles as u64,
-        bytes: made.bytes,
-        classes: made.classes.iter().map(class_error).collect(),
-        level: tile.level,
-        children,
+    /// The entry of a node, and where in the store the contents of its subtree are, by their name in the output.
+    fn entry(&self, at: usize, level: u32) -> (TileEntry, Vec<(String, usize)>) {
+        let (node, made) = (&self.nodes[at], &self.nodes[at].record);
+        let uri = format!("tiles/{level}/{}.glb", self.cells.key(node.cell));
+        let mut contents = vec![(uri.clone(), at)];
+        let children: Vec<TileEntry> = (node.children.iter())
+            .map(|&c| {
+                let (entry, below) = self.entry(c as usize, level + 1);
+                contents.extend(below);
+                entry
+            })
+            .collect();
+        let of_children = children.iter().map(|c| c.geometric_error_m).fold(0.0, f64::max);
+        // A leaf is the source, texels and all: only what rounding did to it counts.
+        let own = if node.is_leaf() { made.geometry_m } else { made.geometry_m.max(self.texel_factor * made.texel_m) };
+        let class_error = |d: &ClassDeviation| ClassError {
+            class: d.class,
+            budget_m: self.scheme[d.class].budget_m * node.scale,
+            bound_m: d.bound_m,
+            mean_m: d.figures.mean_m,
+            rms_m: d.figures.rms_m,
+            p95_m: d.figures.p95_m,
+            p99_m: d.figures.p99_m,
+            inside_m: d.inside_m,
+        };
+        let entry = TileEntry {
+            uri,
+            box_local: children.iter().fold(made.bounds, |b, c| b.union(c.box_local)),
+            geometric_error_m: own.max(of_children),
+            geometry_m: made.geometry_m,
+            texel_m: made.texel_m,
+            triangles: made.triangles as u64,
+            bytes: made.bytes,
+            classes: made.classes.iter().map(class_error).collect(),
+            level,
+            children,
+        };
+        (entry, contents)
     }
 }
 
-fn credits(source: &Source, added: &str) -> Option<String> {
-    let mut all: Vec<&str> =
-        source.copyright.iter().map(|c| c.trim()).chain([added.trim()]).filter(|c| !c.is_empty()).collect();
+fn credits(found: &[String], added: &str) -> Option<String> {
+    let mut all: Vec<&str> = found.iter().map(|c| c.trim()).chain([added.trim()]).filter(|c| !c.is_empty()).collect();
     let mut seen = std::collections::BTreeSet::new();
     all.retain(|c| seen.insert(*c));
     (!all.is_empty()).then(|| all.join("; "))

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::classes::{Classes, Confusion};
+use crate::classes::Confusion;
 use crate::geo::FrameSummary;
 use crate::ids::ClassScheme;
-use crate::mesh::{GateReport, Mesh};
+use crate::mesh::GateReport;
 use crate::report::{StageTime, Warning};
 use crate::write::TileEntry;
 
@@ -121,16 +121,6 @@ impl fmt::Display for BuildReport {
         }
         Ok(())
     }
-}
-
-pub(super) fn shares(mesh: &Mesh, classes: &Classes) -> Vec<ClassShare> {
-    let mut rows: Vec<ClassShare> =
-        classes.scheme.0.iter().map(|c| ClassShare { class: c.name.clone(), triangles: 0, area_m2: 0.0 }).collect();
-    for (f, label) in classes.label.iter().enumerate() {
-        rows[label.index()].triangles += 1;
-        rows[label.index()].area_m2 += mesh.cross(f).length() * 0.5;
-    }
-    rows
 }
 
 pub(super) fn level_rows(root: &TileEntry, scheme: &ClassScheme) -> Vec<LevelRow> {

@@ -38,6 +38,8 @@ pub struct Images<'r> {
     decoding: Vec<Mutex<()>>,
     cache: Mutex<Cache>,
     reporter: &'r Reporter,
+    /// Where the first images are decoded and held: see [`Images::view`].
+    shared: Option<&'r Images<'r>>,
 }
 
 #[derive(Default)]
@@ -71,6 +73,7 @@ impl<'r> Images<'r> {
             decoding: (0..count).map(|_| Mutex::default()).collect(),
             cache: Mutex::new(Cache { budget_bytes, ..Cache::default() }),
             reporter,
+            shared: None,
         };
         for image in 0..count {
             let size = images.read_size(image).unwrap_or_else(|why| {
@@ -82,14 +85,26 @@ impl<'r> Images<'r> {
         images
     }
 
+    /// These images and `more` after them, for one surface: with mips of its own texels, from images decoded here.
+    /// It holds at most about `budget_bytes` itself.
+    pub fn view<'v>(&'v self, more: Vec<ImageRef>, budget_bytes: u64) -> Images<'v> {
+        let mut view = Images::with_budget(more, budget_bytes, self.reporter);
+        let ours = self.len();
+        view.sizes.splice(0..0, self.sizes.iter().copied());
+        view.masks.splice(0..0, (0..ours).map(|_| None));
+        view.decoding.splice(0..0, (0..ours).map(|_| Mutex::default()));
+        view.shared = Some(self);
+        view
+    }
+
     /// Number of images.
     pub fn len(&self) -> usize {
-        self.refs.len()
+        self.sizes.len()
     }
 
     /// True without images.
     pub fn is_empty(&self) -> bool {
-        self.refs.is_empty()
+        self.sizes.is_empty()
     }
 
     /// Width and height in texels, from the header; 1×1 for unreadable or unknown images.
@@ -128,25 +143,37 @@ impl<'r> Images<'r> {
         if let Some(held) = lock(&self.cache).get((image, level)) {
             return held;
         }
-        let held = lock(&self.cache).get((image, 0));
-        let base = held.unwrap_or_else(|| {
-            let base = self.decode(image as usize);
-            let free = matches!(self.refs[image as usize], ImageRef::Pixels(_));
-            lock(&self.cache).insert((image, 0), &base, free);
-            base
-        });
+        let base = self.base(image);
         if level == 0 {
             return base;
         }
         let mut wanted = base.clone();
         for (made, m) in pyramid(&base, self.masks[image as usize].as_ref()).into_iter().zip(1..) {
             let made = Arc::new(made);
-            lock(&self.cache).insert((image, m), &made, m >= PINNED_LEVEL);
+            let pinned = self.shared.is_none() && m >= PINNED_LEVEL;
+            lock(&self.cache).insert((image, m), &made, pinned);
             if m == level {
                 wanted = made;
             }
         }
         wanted
+    }
+
+    /// Level 0.
+    fn base(&self, image: u32) -> Arc<RgbImage> {
+        let ours = match self.shared {
+            // Held by the other, or not at all: two caches would hold twice what either may.
+            Some(shared) if (image as usize) < shared.len() => return shared.mip(image, 0),
+            Some(shared) => image as usize - shared.len(),
+            None => image as usize,
+        };
+        let held = lock(&self.cache).get((image, 0));
+        held.unwrap_or_else(|| {
+            let base = self.decode(ours, self.sizes[image as usize]);
+            let free = matches!(self.refs[ours], ImageRef::Pixels(_));
+            lock(&self.cache).insert((image, 0), &base, free);
+            base
+        })
     }
 
     /// The marked texels, `None` when all of them are.
@@ -155,8 +182,7 @@ impl<'r> Images<'r> {
     }
 
     /// The whole image at the size its header gave: grey when it cannot be decoded.
-    fn decode(&self, image: usize) -> Arc<RgbImage> {
-        let [width, height] = self.sizes[image];
+    fn decode(&self, image: usize, [width, height]: [u32; 2]) -> Arc<RgbImage> {
         let decoded = match &self.refs[image] {
             ImageRef::Pixels(pixels) => Ok(pixels.clone()),
             ImageRef::File(path) => open(path).and_then(decode_pixels).map(Arc::new),

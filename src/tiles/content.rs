@@ -1,22 +1,23 @@
 //! Makes the content of one tile: measures it against its source, gives it its texture, and splits its wedges.
 //!
-//! In: a [`Tile`](super::levels::Tile) and the partition it was cut from. Out: [`MadeTile`].
+//! In: a tile's surface and the [`Reference`] it stands for. Out: [`MadeTile`].
 //!
-//! Depends on the tile's own part of the source only, so tiles can be made in any order and at the same time.
+//! Depends on the tile's own part of the source only, so tiles can be made in any order and at the same time. Where that
+//! part does not fit into memory, finer tiles stand for it: their own certified error is added to every bound (the
+//! triangle inequality), and the tile is painted from their textures.
 
 use std::collections::HashMap;
-use std::ops::Range;
 
 use glam::{DVec3, Vec2};
+use serde::{Deserialize, Serialize};
 
 use super::error::{Deviation, Figures, Surface as Measured, directed};
-use super::levels::Tile;
-use super::partition::Partition;
+use super::levels::TileMesh;
 use crate::Result;
-use crate::classes::Classes;
 use crate::geo::bounds::Aabb;
 use crate::geo::bvh::Bvh;
-use crate::ids::ClassId;
+use crate::ids::{ClassId, ClassScheme};
+use crate::input::Material;
 use crate::texture::{BakeSource, Baked, Images, Surface, TextureConfig, bake, encode_jpeg, repack};
 use crate::write::TileContent;
 
@@ -34,10 +35,14 @@ pub struct MadeTile {
     pub triangles: usize,
     /// Per class that occurs in the tile or its source.
     pub classes: Vec<ClassDeviation>,
+    /// Texture coordinates of every corner of the tile's surface, in its atlas; empty without texture.
+    pub corner_uvs: Vec<[Vec2; 3]>,
+    /// Colour of every vertex of the tile's surface; empty with texture, or where the source has none.
+    pub vertex_colors: Vec<[u8; 3]>,
 }
 
 /// How far one class is from its source in one tile.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct ClassDeviation {
     /// Which class.
     pub class: ClassId,
@@ -51,12 +56,8 @@ pub struct ClassDeviation {
 
 /// What all tiles of a build share.
 pub struct Maker<'a> {
-    /// The cut source.
-    pub partition: &'a Partition,
-    /// Classes of the partition's faces.
-    pub classes: &'a Classes,
-    /// The source's images.
-    pub images: &'a Images<'a>,
+    /// The classes.
+    pub scheme: &'a ClassScheme,
     /// How textures are made.
     pub texture: &'a TextureConfig,
     /// Pixels of error at which the viewer swaps a tile: k in `geometricError` ≥ k·texel.
@@ -69,143 +70,105 @@ pub struct Maker<'a> {
     pub moved_m: f64,
 }
 
-/// Part of the source, with vertices of its own.
-struct Patch {
-    positions: Vec<DVec3>,
-    faces: Vec<[u32; 3]>,
-    uvs: Vec<[Vec2; 3]>,
-    materials: Vec<u32>,
-    colors: Vec<[u8; 3]>,
-    labels: Vec<ClassId>,
+/// A surface a tile stands for, with vertices of its own; arrays that no face needs are empty.
+#[derive(Debug, Clone, Default)]
+pub struct Reference {
+    /// Local metres.
+    pub positions: Vec<DVec3>,
+    /// Corners.
+    pub faces: Vec<[u32; 3]>,
+    /// Per face and corner.
+    pub corner_uvs: Vec<[Vec2; 3]>,
+    /// Per face, index into `materials`.
+    pub face_material: Vec<u32>,
+    /// Per vertex sRGB.
+    pub vertex_colors: Vec<[u8; 3]>,
+    /// Class of each face.
+    pub labels: Vec<ClassId>,
+    /// Referenced by `face_material`.
+    pub materials: Vec<Material>,
+    /// Per class, how far the surface is from the source's, certified, metres; empty for the source itself.
+    pub error_m: Vec<f64>,
 }
 
 impl Maker<'_> {
-    /// Makes one tile.
+    /// Makes a leaf: the source itself, its texels copied. `images` cover it.
     ///
     /// # Errors
     /// Only a broken promise of the texture stage.
-    pub fn make(&self, tile: &Tile) -> Result<MadeTile> {
-        let source = self.patch(&tile.source);
-        match &tile.mesh {
-            None => self.make_leaf(&source),
-            Some(_) => self.make_inner(tile, &source),
-        }
-    }
-
-    /// The source itself, its texels copied.
-    fn make_leaf(&self, source: &Patch) -> Result<MadeTile> {
-        let paint =
-            self.is_painted(source).then(|| repack(&source.surface(self), self.images, self.texture)).transpose()?;
+    pub fn make_leaf(&self, source: &Reference, images: &Images) -> Result<MadeTile> {
+        let paint = source.is_painted().then(|| repack(&source.surface(), images, self.texture)).transpose()?;
         let quality = self.texture.jpeg_quality;
-        let exact = source.labels.iter().fold(vec![false; self.classes.scheme.len()], |mut seen, l| {
+        let exact = source.labels.iter().fold(vec![false; self.scheme.len()], |mut seen, l| {
             seen[l.index()] = true;
             seen
         });
-        let classes = (self.classes.scheme.ids().filter(|c| exact[c.index()]))
+        let classes = (self.scheme.ids().filter(|c| exact[c.index()]))
             .map(|class| ClassDeviation { class, bound_m: 0.0, inside_m: 0.0, figures: Figures::default() })
             .collect();
-        Ok(self.assemble(source, paint, quality, 0.0, classes))
+        Ok(self.assemble(source, paint, quality, 0.0, classes, self.moved_m))
     }
 
-    /// The simplified surface, measured against its source and painted from it.
-    fn make_inner(&self, tile: &Tile, source: &Patch) -> Result<MadeTile> {
-        let mesh = tile.mesh.as_ref().unwrap_or_else(|| unreachable!("inner tiles have a surface"));
+    /// Makes an inner tile: the simplified surface, measured against what it stands for and painted from it. `images`
+    /// cover the reference.
+    ///
+    /// # Errors
+    /// Only a broken promise of the texture stage.
+    pub fn make_inner(&self, mesh: &TileMesh, is_root: bool, source: &Reference, images: &Images) -> Result<MadeTile> {
         let tree = Bvh::new(&source.positions, &source.faces);
         let (classes, geometry_m) = self.measure(mesh, source, &tree);
-        let mut patch = Patch {
+        let mut patch = Reference {
             positions: mesh.positions.clone(),
             faces: mesh.faces.clone(),
             labels: mesh.labels.clone(),
-            uvs: Vec::new(),
-            materials: Vec::new(),
-            colors: Vec::new(),
+            ..Reference::default()
         };
-        let painted = self.is_painted(source);
-        let config = TextureConfig { max_atlas_px: self.atlas_px(tile), ..self.texture.clone() };
-        let paint = if painted {
-            let texel_m = (geometry_m / self.texel_factor).max(self.source_texel_m(source));
-            let from = BakeSource { surface: source.surface(self), bvh: &tree };
-            Some(bake(&patch.surface(self), &from, self.images, texel_m, &config)?)
+        let config = TextureConfig { max_atlas_px: self.atlas_px(is_root), ..self.texture.clone() };
+        let paint = if source.is_painted() {
+            let texel_m = (geometry_m / self.texel_factor).max(source.texel_m(images));
+            let from = BakeSource { surface: source.surface(), bvh: &tree };
+            Some(bake(&patch.surface(), &from, images, texel_m, &config)?)
         } else {
-            patch.colors = nearest_colors(&mesh.positions, source, &tree);
+            patch.vertex_colors = nearest_colors(&mesh.positions, source, &tree);
             None
         };
-        Ok(self.assemble(&patch, paint, self.texture.coarse_jpeg_quality, geometry_m, classes))
+        // The errors of finer tiles hold what was moved already.
+        let moved_m = if source.error_m.is_empty() { self.moved_m } else { 0.0 };
+        Ok(self.assemble(&patch, paint, self.texture.coarse_jpeg_quality, geometry_m, classes, moved_m))
     }
 
     /// The first view is one tile: its texture is kept small.
-    fn atlas_px(&self, tile: &Tile) -> u32 {
-        let px = if tile.level == 0 { self.texture.root_atlas_px } else { self.texture.coarse_atlas_px };
+    fn atlas_px(&self, is_root: bool) -> u32 {
+        let px = if is_root { self.texture.root_atlas_px } else { self.texture.coarse_atlas_px };
         px.min(self.texture.max_atlas_px)
     }
 
-    fn measure(&self, mesh: &super::TileMesh, source: &Patch, source_tree: &Bvh) -> (Vec<ClassDeviation>, f64) {
-        let count = self.classes.scheme.len();
+    fn measure(&self, mesh: &TileMesh, source: &Reference, source_tree: &Bvh) -> (Vec<ClassDeviation>, f64) {
+        let count = self.scheme.len();
         let fine = Measured { positions: &source.positions, faces: &source.faces, labels: &source.labels };
         let coarse = Measured { positions: &mesh.positions, faces: &mesh.faces, labels: &mesh.labels };
         let forward = directed(fine, coarse, &Bvh::new(&mesh.positions, &mesh.faces), count, true);
         let backward = directed(coarse, fine, source_tree, count, false);
+        let bounds = chained(&forward, &backward, &source.error_m);
         let both = forward.into_iter().zip(backward).map(|(f, b)| Deviation::two_sided(f, b));
-        let classes: Vec<ClassDeviation> = (self.classes.scheme.ids().zip(both))
-            .filter(|(_, d)| !d.is_empty())
-            .map(|(class, d)| ClassDeviation { class, bound_m: d.upper_m, inside_m: d.inside_m, figures: d.figures() })
+        let classes: Vec<ClassDeviation> = (self.scheme.ids().zip(both).zip(bounds))
+            // A class that the reference lost is still the source's.
+            .filter(|((class, d), _)| !d.is_empty() || source.error_m.get(class.index()).is_some_and(|e| *e > 0.0))
+            .map(|((class, d), bound_m)| ClassDeviation { class, bound_m, inside_m: d.inside_m, figures: d.figures() })
             .collect();
         let worst = classes.iter().map(|c| c.bound_m).fold(0.0, f64::max);
         (classes, worst)
     }
 
-    /// True where any face has an image; a surface in plain colours needs no atlas.
-    fn is_painted(&self, source: &Patch) -> bool {
-        !source.uvs.is_empty()
-            && source
-                .materials
-                .iter()
-                .any(|&m| self.partition.mesh.materials.get(m as usize).is_some_and(|m| m.image.is_some()))
-    }
-
-    /// Metres per texel of the source's images, area-weighted.
-    fn source_texel_m(&self, source: &Patch) -> f64 {
-        let (mut area_m2, mut texels) = (0.0, 0.0);
-        for (f, uvs) in source.uvs.iter().enumerate() {
-            let material = self.partition.mesh.materials.get(source.materials[f] as usize);
-            let Some(image) = material.and_then(|m| m.image) else { continue };
-            area_m2 += source.area_m2(f);
-            texels += texels_of(uvs, self.images.dimensions(image));
-        }
-        if texels > 0.0 { (area_m2 / texels).sqrt() } else { 0.0 }
-    }
-
-    /// Gathers faces with the vertices they use.
-    fn patch(&self, ranges: &[Range<usize>]) -> Patch {
-        let mesh = &self.partition.mesh;
-        let all = || ranges.iter().flat_map(|r| r.clone());
-        let mut used: Vec<u32> = all().flat_map(|f| mesh.faces[f]).collect();
-        used.sort_unstable();
-        used.dedup();
-        let local = |v: u32| used.binary_search(&v).unwrap_or_else(|_| unreachable!("every corner was listed")) as u32;
-        let of_vertices = |f: &dyn Fn(u32) -> [u8; 3]| used.iter().map(|&v| f(v)).collect();
-        Patch {
-            positions: used.iter().map(|&v| mesh.positions[v as usize]).collect(),
-            faces: all().map(|f| mesh.faces[f].map(local)).collect(),
-            uvs: if mesh.corner_uvs.is_empty() { Vec::new() } else { all().map(|f| mesh.corner_uvs[f]).collect() },
-            materials: all().map(|f| mesh.face_material[f]).collect(),
-            colors: if mesh.vertex_colors.is_empty() {
-                Vec::new()
-            } else {
-                of_vertices(&|v| mesh.vertex_colors[v as usize])
-            },
-            labels: all().map(|f| self.classes.label[f]).collect(),
-        }
-    }
-
     /// Splits vertices where texture coordinates or classes differ, and puts all relative to the tile's origin.
     fn assemble(
         &self,
-        patch: &Patch,
+        patch: &Reference,
         paint: Option<Baked>,
         quality: u8,
         geometry_m: f64,
         classes: Vec<ClassDeviation>,
+        moved_m: f64,
     ) -> MadeTile {
         let bounds = Aabb::of(patch.positions.iter().copied());
         // Origins on a coarse grid print short and are exact in f32.
@@ -228,7 +191,7 @@ impl Maker<'_> {
                     } else {
                         content
                             .colors
-                            .push(patch.colors.get(v as usize).copied().unwrap_or(self.classes.scheme[label].color));
+                            .push(patch.vertex_colors.get(v as usize).copied().unwrap_or(self.scheme[label].color));
                     }
                     if let Some(normal) = normals.get(v as usize) {
                         content.normals.push(normal.as_vec3());
@@ -238,11 +201,11 @@ impl Maker<'_> {
             };
             content.faces.push([0, 1, 2].map(corner));
         }
-        content.atlas = paint.map(|p| encode_jpeg(&p.atlas, quality));
+        content.atlas = paint.as_ref().map(|p| encode_jpeg(&p.atlas, quality));
         // What a viewer sees: f32 vertices about the origin.
         let seen = |p: DVec3| origin + (p - origin).as_vec3().as_dvec3();
         let rounding_m = patch.positions.iter().map(|p| (seen(*p) - *p).length()).fold(0.0, f64::max);
-        let added_m = self.moved_m + rounding_m;
+        let added_m = moved_m + rounding_m;
         let classes = classes.into_iter().map(|c| ClassDeviation { bound_m: c.bound_m + added_m, ..c }).collect();
         MadeTile {
             bounds: Aabb::of(patch.positions.iter().map(|p| seen(*p))),
@@ -251,6 +214,8 @@ impl Maker<'_> {
             triangles: content.faces.len(),
             classes,
             content,
+            corner_uvs: paint.map_or_else(Vec::new, |p| p.corner_uvs),
+            vertex_colors: patch.vertex_colors.clone(),
         }
     }
 }
@@ -258,16 +223,70 @@ impl Maker<'_> {
 /// Tile origins are multiples of 1/8 m.
 const ORIGINS_PER_M: f64 = 8.0;
 
-impl Patch {
-    fn surface<'a>(&'a self, maker: &'a Maker) -> Surface<'a> {
+/// Per class the two-sided bound from the source: a point of class c of the source is within the reference's error for c
+/// of some point of the reference, of whatever class; a point of the tile is nearest to some point of the reference,
+/// again of whatever class.
+fn chained(forward: &[Deviation], backward: &[Deviation], error_m: &[f64]) -> Vec<f64> {
+    let worst = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
+    let forward_m = worst(&mut forward.iter().map(|d| d.upper_m));
+    let reference_m = worst(&mut error_m.iter().copied());
+    let bound = |(c, (f, b)): (usize, (&Deviation, &Deviation))| match error_m.get(c) {
+        Some(own) => (own + forward_m).max(b.upper_m + reference_m),
+        None => f.upper_m.max(b.upper_m),
+    };
+    forward.iter().zip(backward).enumerate().map(bound).collect()
+}
+
+impl Reference {
+    /// Adds a part; materials and errors are the whole's.
+    pub fn append(&mut self, part: Self) {
+        let first = self.positions.len() as u32;
+        let faces = self.faces.len();
+        // A part without what others have still needs its places.
+        if !part.corner_uvs.is_empty() || !self.corner_uvs.is_empty() {
+            self.corner_uvs.resize(faces, Default::default());
+            self.corner_uvs.extend(part.corner_uvs);
+            self.corner_uvs.resize(faces + part.faces.len(), Default::default());
+        }
+        if !part.vertex_colors.is_empty() || !self.vertex_colors.is_empty() {
+            self.vertex_colors.resize(self.positions.len(), [128; 3]);
+            self.vertex_colors.extend(part.vertex_colors);
+            self.vertex_colors.resize(self.positions.len() + part.positions.len(), [128; 3]);
+        }
+        self.positions.extend(part.positions);
+        self.faces.extend(part.faces.into_iter().map(|f| f.map(|v| v + first)));
+        self.face_material.extend(part.face_material);
+        self.labels.extend(part.labels);
+    }
+
+    /// For the texture stage.
+    pub fn surface(&self) -> Surface<'_> {
         Surface {
             positions: &self.positions,
             faces: &self.faces,
-            corner_uvs: &self.uvs,
-            face_material: &self.materials,
-            vertex_colors: &self.colors,
-            materials: &maker.partition.mesh.materials,
+            corner_uvs: &self.corner_uvs,
+            face_material: &self.face_material,
+            vertex_colors: &self.vertex_colors,
+            materials: &self.materials,
         }
+    }
+
+    /// True where any face has an image; a surface in plain colours needs no atlas.
+    pub fn is_painted(&self) -> bool {
+        let has_image = |m: &u32| self.materials.get(*m as usize).is_some_and(|m| m.image.is_some());
+        !self.corner_uvs.is_empty() && self.face_material.iter().any(has_image)
+    }
+
+    /// Metres per texel of its images, area-weighted.
+    fn texel_m(&self, images: &Images) -> f64 {
+        let (mut area_m2, mut texels) = (0.0, 0.0);
+        for (f, uvs) in self.corner_uvs.iter().enumerate() {
+            let material = self.materials.get(self.face_material[f] as usize);
+            let Some(image) = material.and_then(|m| m.image) else { continue };
+            area_m2 += self.area_m2(f);
+            texels += texels_of(uvs, images.dimensions(image));
+        }
+        if texels > 0.0 { (area_m2 / texels).sqrt() } else { 0.0 }
     }
 
     fn cross(&self, f: usize) -> DVec3 {
@@ -297,8 +316,8 @@ pub fn texels_of(uvs: &[Vec2; 3], [width, height]: [u32; 2]) -> f64 {
 }
 
 /// Colours of the nearest source points; empty where the source has none.
-fn nearest_colors(positions: &[DVec3], source: &Patch, tree: &Bvh) -> Vec<[u8; 3]> {
-    if source.colors.is_empty() {
+fn nearest_colors(positions: &[DVec3], source: &Reference, tree: &Bvh) -> Vec<[u8; 3]> {
+    if source.vertex_colors.is_empty() {
         return Vec::new();
     }
     let nearest_corner = |p: &DVec3| {
@@ -310,5 +329,5 @@ fn nearest_colors(positions: &[DVec3], source: &Patch, tree: &Bvh) -> Vec<[u8; 3
         };
         face.into_iter().min_by(by_distance)
     };
-    positions.iter().map(|p| nearest_corner(p).map_or([128; 3], |v| source.colors[v as usize])).collect()
+    positions.iter().map(|p| nearest_corner(p).map_or([128; 3], |v| source.vertex_colors[v as usize])).collect()
 }

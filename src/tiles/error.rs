@@ -19,6 +19,7 @@
 //! distance, 2024.
 
 use glam::DVec3;
+use serde::{Deserialize, Serialize};
 
 use crate::geo::bvh::{Bvh, Hit, closest_on_triangle};
 use crate::ids::ClassId;
@@ -59,7 +60,7 @@ pub struct Deviation {
 }
 
 /// Area-weighted figures of a [`Deviation`].
-#[derive(Debug, Clone, Copy, Default, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 pub struct Figures {
     /// Mean, metres.
     pub mean_m: f64,

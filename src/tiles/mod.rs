@@ -4,6 +4,8 @@ pub mod content;
 pub mod error;
 pub mod levels;
 pub mod partition;
+pub mod soup;
 
-pub use levels::{LevelsConfig, TileMesh, TileTree};
-pub use partition::Partition;
+pub use levels::{LevelsConfig, TileMesh};
+pub use partition::{Census, Quadtree};
+pub use soup::Soup;

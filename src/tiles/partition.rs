@@ -1,6 +1,7 @@
-//! Cuts a mesh along the walls of an adaptive quadtree, without a crack.
+//! Cuts meshes along the walls of an adaptive quadtree, without a crack.
 //!
-//! In: [`Mesh`] and a weight per face. Out: [`Partition`]: the same surface with every face inside one leaf cell.
+//! In: where the weight of the faces lies, then meshes part by part. Out: [`Quadtree`] and [`Soup`]s: the same surface
+//! with every face inside one leaf cell.
 //!
 //! # Method
 //! 1. Cells are split by the weight of the face centres in them until a leaf holds at most the weight allowed.
@@ -9,15 +10,17 @@
 //!    of an edge get the same vertex. Edges that lie on a wall are cut where the cells of the other side cut them.
 //! 4. The pieces, convex, are triangulated; texture coordinates follow by barycentric interpolation (affine, so exact).
 //!
+//! A vertex is its position: welded vertices differ in it, and both sides of a wall compute the same bits.
+//!
 //! # Promises
 //! Area and topology stay (`the_cut_surface_is_the_same_surface`); no T-junctions (`every_inner_edge_has_two_faces`).
 //! No vertex of the source moves by more than [`SNAP_M`].
 
-use std::collections::HashMap;
-
-use glam::{DVec2, DVec3, Vec2};
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
+use super::soup::Soup;
 use crate::geo::Rect;
 use crate::mesh::{GRID_PER_M, Mesh, on_grid};
 
@@ -27,7 +30,7 @@ pub const SNAP_M: f64 = 1e-4;
 const DEEPEST: u8 = 14;
 
 /// A cell of the quadtree in plan.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Cell {
     /// Where it is, local metres.
     pub plan: Rect,
@@ -39,40 +42,109 @@ pub struct Cell {
     pub parent: u32,
 }
 
-/// A mesh whose faces each lie in one leaf cell, ordered by leaf.
-#[derive(Debug, Clone, Default)]
-pub struct Partition {
-    /// The cut surface.
-    pub mesh: Mesh,
-    /// The face of the uncut mesh each face comes from.
-    pub origin: Vec<u32>,
-    /// The leaf cell of each face.
-    pub leaf: Vec<u32>,
-    /// All cells, root first, parents before children.
-    pub cells: Vec<Cell>,
-    /// Furthest that a vertex was moved onto a wall, metres.
-    pub moved_m: f64,
+/// The cells, root first, parents before children.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct Quadtree(pub Vec<Cell>);
+
+/// Where in a square the faces are: a Morton code of [`DEEPEST`] levels for each face's centre, with its weight.
+#[derive(Debug, Clone)]
+pub struct Census {
+    square: Rect,
+    weights: Vec<(u32, f32)>,
+    /// Levels that codes have lost, so that the list stays short.
+    coarser: u32,
 }
 
-impl Partition {
-    /// Cuts `mesh` into leaves of at most `most` weight where the depth allows it.
-    pub fn of(mesh: Mesh, weight: impl Fn(usize) -> f64 + Sync, most: f64) -> Self {
-        let cells = grow(&mesh, &weight, most);
-        let tree = Tree(&cells);
-        let mut mesh = mesh;
-        let snapped: Vec<DVec3> = mesh.positions.par_iter().map(|p| tree.snapped(*p)).collect();
-        let moved_m = mesh.positions.iter().zip(&snapped).map(|(p, q)| (*p - *q).length()).fold(0.0, f64::max);
-        mesh.positions = snapped;
-        let pieces: Vec<Vec<Piece>> =
-            (0..mesh.faces.len()).into_par_iter().map(|f| tree.clip(mesh.corners(f))).collect();
-        Self { moved_m, ..Cutter::new(&mesh).assemble(pieces, cells) }
+/// A census longer than this is merged one level coarser, entries of 8 bytes.
+const MOST_ENTRIES: usize = 1 << 26;
+
+impl Census {
+    /// An empty one over the square that holds `bounds`.
+    pub fn over(bounds: Rect) -> Self {
+        // A square on the grid whose halves stay on the grid down to the deepest cell.
+        let unit = f64::from(1u32 << DEEPEST) / GRID_PER_M;
+        let half = ((bounds.size().max_element() * 0.5 + SNAP_M) / unit).ceil().max(1.0) * unit;
+        let center = (bounds.center() / unit).round() * unit;
+        let half = half + unit;
+        Self { square: Rect { min: center - half, max: center + half }, weights: Vec::new(), coarser: 0 }
     }
 
-    /// The ancestor of leaf `cell` at `depth`, or the leaf itself if it is not deeper.
+    /// Counts the faces of a mesh.
+    pub fn count(&mut self, mesh: &Mesh, weight: impl Fn(usize) -> f64 + Sync) {
+        let side = self.square.size().x;
+        let most = f64::from((1u32 << DEEPEST) - 1);
+        let coarser = self.coarser;
+        let entry = |f: usize| {
+            let center = mesh.corners(f).iter().map(|p| p.truncate()).sum::<DVec2>() / 3.0;
+            let at = ((center - self.square.min) / side * f64::from(1u32 << DEEPEST)).floor();
+            let at = at.clamp(DVec2::ZERO, DVec2::splat(most));
+            (interleaved(at.x as u32, at.y as u32) >> (2 * coarser), weight(f) as f32)
+        };
+        self.weights.par_extend((0..mesh.faces.len()).into_par_iter().map(entry));
+        while self.weights.len() > MOST_ENTRIES && u32::from(DEEPEST) > self.coarser + 1 {
+            self.coarser += 1;
+            self.weights.iter_mut().for_each(|w| w.0 >>= 2);
+            // Stable, so that sums have one order.
+            self.weights.sort_by_key(|w| w.0);
+            let mut merged: Vec<(u32, f32)> = Vec::new();
+            for &(code, weight) in &self.weights {
+                match merged.last_mut() {
+                    Some(last) if last.0 == code => last.1 += weight,
+                    _ => merged.push((code, weight)),
+                }
+            }
+            self.weights = merged;
+        }
+    }
+}
+
+/// The bits of `x` at even, of `y` at odd places.
+fn interleaved(x: u32, y: u32) -> u32 {
+    (0..u32::from(DEEPEST)).fold(0, |code, bit| code | (x >> bit & 1) << (2 * bit) | (y >> bit & 1) << (2 * bit + 1))
+}
+
+impl Quadtree {
+    /// Splits cells until leaves have at most `most` weight, where the depth allows it.
+    pub fn of(census: Census, most: f64) -> Self {
+        let Census { square, mut weights, coarser } = census;
+        weights.par_sort_by_key(|w| w.0);
+        let deepest = DEEPEST - coarser as u8;
+        let mut cells = vec![Cell { plan: square, depth: 0, children: None, parent: 0 }];
+        let mut open = vec![(0u32, 0..weights.len())];
+        while let Some((at, range)) = open.pop() {
+            let total: f64 = weights[range.clone()].iter().map(|w| f64::from(w.1)).sum();
+            let Cell { plan, depth, .. } = cells[at as usize];
+            if total <= most || depth == deepest {
+                continue;
+            }
+            let shift = 2 * u32::from(deepest - depth - 1);
+            let middle = plan.center();
+            let first = cells.len() as u32;
+            cells[at as usize].children = Some([first, first + 1, first + 2, first + 3]);
+            let mut start = range.start;
+            for i in 0..4u32 {
+                let end = start + weights[start..range.end].partition_point(|w| w.0 >> shift & 3 <= i);
+                let low = DVec2::new(
+                    if i & 1 == 0 { plan.min.x } else { middle.x },
+                    if i & 2 == 0 { plan.min.y } else { middle.y },
+                );
+                let high = DVec2::new(
+                    if i & 1 == 0 { middle.x } else { plan.max.x },
+                    if i & 2 == 0 { middle.y } else { plan.max.y },
+                );
+                cells.push(Cell { plan: Rect { min: low, max: high }, depth: depth + 1, children: None, parent: at });
+                open.push((first + i, start..end));
+                start = end;
+            }
+        }
+        Self(cells)
+    }
+
+    /// The ancestor of `cell` at `depth`, or the cell itself if it is not deeper.
     pub fn ancestor(&self, cell: u32, depth: u8) -> u32 {
         let mut at = cell;
-        while self.cells[at as usize].depth > depth {
-            at = self.cells[at as usize].parent;
+        while self.0[at as usize].depth > depth {
+            at = self.0[at as usize].parent;
         }
         at
     }
@@ -81,9 +153,9 @@ impl Partition {
     pub fn key(&self, cell: u32) -> String {
         let mut digits = Vec::new();
         let mut at = cell;
-        while self.cells[at as usize].depth > 0 {
-            let parent = self.cells[at as usize].parent;
-            let first = self.cells[parent as usize].children.map_or(at, |c| c[0]);
+        while self.0[at as usize].depth > 0 {
+            let parent = self.0[at as usize].parent;
+            let first = self.0[parent as usize].children.map_or(at, |c| c[0]);
             digits.push(char::from(b'0' + (at - first) as u8));
             at = parent;
         }
@@ -93,54 +165,56 @@ impl Partition {
 
     /// Depth of the deepest leaf.
     pub fn depth(&self) -> u8 {
-        self.cells.iter().map(|c| c.depth).max().unwrap_or(0)
+        self.0.iter().map(|c| c.depth).max().unwrap_or(0)
     }
-}
 
-fn grow(mesh: &Mesh, weight: &(impl Fn(usize) -> f64 + Sync), most: f64) -> Vec<Cell> {
-    let (mut low, mut high) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
-    for p in &mesh.positions {
-        (low, high) = (low.min(p.truncate()), high.max(p.truncate()));
-    }
-    // A square on the grid whose halves stay on the grid down to the deepest cell.
-    let unit = f64::from(1u32 << DEEPEST) / GRID_PER_M;
-    let half = (((high - low).max_element() * 0.5 + SNAP_M) / unit).ceil().max(1.0) * unit;
-    let center = ((low + high) * 0.5 / unit).round() * unit;
-    let half = half + unit;
-    let root = Cell { plan: Rect { min: center - half, max: center + half }, depth: 0, children: None, parent: 0 };
-    let centers: Vec<(DVec2, f64)> = (0..mesh.faces.len())
-        .into_par_iter()
-        .map(|f| (mesh.corners(f).iter().map(|p| p.truncate()).sum::<DVec2>() / 3.0, weight(f)))
-        .collect();
-    let mut cells = vec![root];
-    let mut open = vec![(0u32, (0..mesh.faces.len() as u32).collect::<Vec<_>>())];
-    while let Some((at, faces)) = open.pop() {
-        let total: f64 = faces.iter().map(|&f| centers[f as usize].1).sum();
-        let Cell { plan, depth, .. } = cells[at as usize];
-        if total <= most || depth == DEEPEST {
-            continue;
-        }
-        let middle = plan.center();
-        let mut parts: [Vec<u32>; 4] = Default::default();
-        for f in faces {
-            parts[quadrant(centers[f as usize].0, middle)].push(f);
-        }
-        let first = cells.len() as u32;
-        cells[at as usize].children = Some([first, first + 1, first + 2, first + 3]);
-        for (i, part) in parts.into_iter().enumerate() {
-            let low = DVec2::new(
-                if i & 1 == 0 { plan.min.x } else { middle.x },
-                if i & 2 == 0 { plan.min.y } else { middle.y },
-            );
-            let high = DVec2::new(
-                if i & 1 == 0 { middle.x } else { plan.max.x },
-                if i & 2 == 0 { middle.y } else { plan.max.y },
-            );
-            cells.push(Cell { plan: Rect { min: low, max: high }, depth: depth + 1, children: None, parent: at });
-            open.push((first + i as u32, part));
+    /// The cells of `depth`, and leaves above it, whose closed plan holds `p`: several where `p` is on a wall.
+    pub fn touching(&self, p: DVec2, depth: u8, mut visit: impl FnMut(u32)) {
+        let mut open = vec![0u32];
+        while let Some(at) = open.pop() {
+            match self.0[at as usize].children {
+                Some(children) if self.0[at as usize].depth < depth => {
+                    open.extend(children.into_iter().filter(|&c| self.0[c as usize].plan.contains(p, 0.0)));
+                }
+                _ => visit(at),
+            }
         }
     }
-    cells
+
+    /// Moves the vertices of a mesh that are almost on a wall onto it; returns how far at most, metres.
+    pub fn snap(&self, mesh: &mut Mesh) -> f64 {
+        let tree = Tree(&self.0);
+        let moved = |p: &mut DVec3| {
+            let at = tree.snapped(*p);
+            let by = (at - *p).length();
+            *p = at;
+            by
+        };
+        mesh.positions.par_iter_mut().map(moved).reduce(|| 0.0, f64::max)
+    }
+
+    /// The faces of `range`, cut, with their leaf cells, by face. The mesh was snapped.
+    pub fn cut(&self, mesh: &Mesh, range: std::ops::Range<usize>) -> Vec<(u32, Soup)> {
+        let tree = Tree(&self.0);
+        let pieces: Vec<Vec<Piece>> = range.clone().into_par_iter().map(|f| tree.clip(mesh.corners(f))).collect();
+        let mut by_leaf: std::collections::BTreeMap<u32, Soup> = Default::default();
+        for (f, pieces) in range.zip(pieces) {
+            for piece in pieces {
+                let soup = by_leaf.entry(piece.leaf).or_default();
+                if piece.whole {
+                    soup.push(mesh, f, mesh.corners(f), None);
+                    continue;
+                }
+                for triangle in triangulate(&piece.corners) {
+                    let [a, b, c] = triangle.map(|i| piece.corners[i].at);
+                    if a != b && b != c && c != a {
+                        soup.push(mesh, f, [a, b, c], Some(triangle.map(|i| piece.corners[i].share)));
+                    }
+                }
+            }
+        }
+        by_leaf.into_iter().collect()
+    }
 }
 
 fn quadrant(p: DVec2, middle: DVec2) -> usize {
@@ -312,102 +386,6 @@ fn cut(a: &Corner, b: &Corner, axis: usize, value: f64) -> Corner {
     Corner { at, share: a.share + (b.share - a.share) * t }
 }
 
-/// A triangle of the cut mesh.
-struct Row {
-    leaf: u32,
-    /// The face it is part of.
-    face: u32,
-    corners: [u32; 3],
-    /// Barycentric coordinates of its corners in that face, where they are not the face's own.
-    shares: Option<[DVec3; 3]>,
-}
-
-/// Puts pieces together into one mesh.
-struct Cutter<'a> {
-    mesh: &'a Mesh,
-    positions: Vec<DVec3>,
-    colors: Vec<[u8; 3]>,
-    made: HashMap<[u64; 3], u32>,
-}
-
-impl<'a> Cutter<'a> {
-    fn new(mesh: &'a Mesh) -> Self {
-        Self { mesh, positions: mesh.positions.clone(), colors: mesh.vertex_colors.clone(), made: HashMap::new() }
-    }
-
-    fn assemble(mut self, pieces: Vec<Vec<Piece>>, cells: Vec<Cell>) -> Partition {
-        let mut rows: Vec<Row> = Vec::with_capacity(pieces.len());
-        for (f, of_face) in pieces.into_iter().enumerate() {
-            for piece in of_face {
-                if piece.whole {
-                    rows.push(Row { leaf: piece.leaf, face: f as u32, corners: self.mesh.faces[f], shares: None });
-                    continue;
-                }
-                let ids: Vec<u32> = piece.corners.iter().map(|c| self.vertex(f, c)).collect();
-                for triangle in triangulate(&piece.corners) {
-                    let [a, b, c] = triangle.map(|i| ids[i]);
-                    if a != b && b != c && c != a {
-                        let shares = Some(triangle.map(|i| piece.corners[i].share));
-                        rows.push(Row { leaf: piece.leaf, face: f as u32, corners: [a, b, c], shares });
-                    }
-                }
-            }
-        }
-        rows.sort_by_key(|r| r.leaf);
-        let mesh = self.mesh;
-        let corner_uvs = |row: &Row| {
-            let uvs = mesh.corner_uvs[row.face as usize];
-            row.shares.map_or(uvs, |shares| {
-                shares.map(|s| {
-                    let [a, b, c] = uvs.map(|uv: Vec2| uv.as_dvec2());
-                    (a * s.x + b * s.y + c * s.z).as_vec2()
-                })
-            })
-        };
-        let by_face = |row: &Row| row.face as usize;
-        Partition {
-            leaf: rows.iter().map(|r| r.leaf).collect(),
-            origin: rows.iter().map(|r| r.face).collect(),
-            mesh: Mesh {
-                positions: self.positions,
-                faces: rows.iter().map(|r| r.corners).collect(),
-                corner_uvs: if mesh.corner_uvs.is_empty() { Vec::new() } else { rows.iter().map(corner_uvs).collect() },
-                face_material: rows.iter().map(|r| mesh.face_material[by_face(r)]).collect(),
-                face_labels: if mesh.face_labels.is_empty() {
-                    Vec::new()
-                } else {
-                    rows.iter().map(|r| mesh.face_labels[by_face(r)]).collect()
-                },
-                vertex_colors: self.colors,
-                materials: mesh.materials.clone(),
-            },
-            cells,
-            moved_m: 0.0,
-        }
-    }
-
-    /// The vertex of a corner: the face's own, or one made at that very place before, or a new one.
-    fn vertex(&mut self, f: usize, corner: &Corner) -> u32 {
-        let face = self.mesh.faces[f];
-        if let Some(k) = (0..3).find(|&k| corner.share[k] == 1.0) {
-            return face[k];
-        }
-        let key = corner.at.to_array().map(f64::to_bits);
-        *self.made.entry(key).or_insert_with(|| {
-            self.positions.push(corner.at);
-            if !self.colors.is_empty() {
-                let mix = |i: usize| {
-                    (0..3)
-                        .map(|k| f64::from(self.mesh.vertex_colors[face[k] as usize][i]) * corner.share[k])
-                        .sum::<f64>()
-                };
-                self.colors.push([0, 1, 2].map(|i| mix(i).round() as u8));
-            }
-            self.positions.len() as u32 - 1
-        })
-    }
-}
-
 /// Triangles of a convex polygon by clipping ears, the roundest first; corners inside straight sides are welcome.
 fn triangulate(corners: &[Corner]) -> Vec<[usize; 3]> {
     let mut left: Vec<usize> = (0..corners.len()).collect();
@@ -444,8 +422,9 @@ fn leaves_area(corners: &[Corner], left: &[usize], gone: usize) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use std::collections::BTreeMap;
+
+    use super::*;
 
     /// A rough sheet of n × n cells with one dense corner, so that the tree is uneven.
     fn sheet() -> Mesh {
@@ -471,6 +450,22 @@ mod tests {
         mesh
     }
 
+    /// The sheet cut into leaves of 40 faces, as one mesh again, and the leaf of each face.
+    fn cut(mut mesh: Mesh) -> (Mesh, Vec<u32>, Quadtree) {
+        let mut bounds = crate::geo::Aabb::of(mesh.positions.iter().copied()).plan();
+        bounds = Rect { min: bounds.min, max: bounds.max };
+        let mut census = Census::over(bounds);
+        census.count(&mesh, |_| 1.0);
+        let tree = Quadtree::of(census, 40.0);
+        tree.snap(&mut mesh);
+        let (mut all, mut leaf) = (Soup::default(), Vec::new());
+        for (cell, soup) in tree.cut(&mesh, 0..mesh.faces.len()) {
+            leaf.extend(vec![cell; soup.len()]);
+            all.append(soup);
+        }
+        (all.into_mesh(), leaf, tree)
+    }
+
     fn area(mesh: &Mesh) -> f64 {
         (0..mesh.faces.len()).map(|f| mesh.cross(f).length() * 0.5).sum()
     }
@@ -479,33 +474,30 @@ mod tests {
     fn the_cut_surface_is_the_same_surface() {
         let mesh = sheet();
         let before = area(&mesh);
-        let partition = Partition::of(mesh, |_| 1.0, 40.0);
-        partition.mesh.check().unwrap();
-        assert!(partition.depth() >= 4, "depth {}", partition.depth());
-        assert!((area(&partition.mesh) - before).abs() < 1e-3 * before.sqrt(), "{} {before}", area(&partition.mesh));
-        for (f, &leaf) in partition.leaf.iter().enumerate() {
-            let plan = partition.cells[leaf as usize].plan;
-            assert!(partition.cells[leaf as usize].children.is_none());
-            assert!(partition.mesh.corners(f).iter().all(|p| plan.contains(p.truncate(), 0.0)));
+        let (mesh, leaf, tree) = cut(mesh);
+        mesh.check().unwrap();
+        assert!(tree.depth() >= 4, "depth {}", tree.depth());
+        assert!((area(&mesh) - before).abs() < 1e-3 * before.sqrt(), "{} {before}", area(&mesh));
+        for (f, &leaf) in leaf.iter().enumerate() {
+            let plan = tree.0[leaf as usize].plan;
+            assert!(tree.0[leaf as usize].children.is_none());
+            assert!(mesh.corners(f).iter().all(|p| plan.contains(p.truncate(), 0.0)));
         }
     }
 
     #[test]
     fn every_inner_edge_has_two_faces() {
-        let partition = Partition::of(sheet(), |_| 1.0, 40.0);
+        let (mesh, ..) = cut(sheet());
         let mut edges: BTreeMap<(u32, u32), u32> = BTreeMap::new();
-        for &[a, b, c] in &partition.mesh.faces {
+        for &[a, b, c] in &mesh.faces {
             for (u, v) in [(a, b), (b, c), (c, a)] {
                 *edges.entry((u.min(v), u.max(v))).or_default() += 1;
             }
         }
-        let (low, high) = partition
-            .mesh
-            .positions
-            .iter()
-            .fold((DVec2::INFINITY, DVec2::NEG_INFINITY), |(l, h), p| (l.min(p.truncate()), h.max(p.truncate())));
+        let plan = crate::geo::Aabb::of(mesh.positions.iter().copied()).plan();
+        let (low, high) = (plan.min, plan.max);
         for ((u, v), count) in edges {
-            let [p, q] = [u, v].map(|v| partition.mesh.positions[v as usize]);
+            let [p, q] = [u, v].map(|v| mesh.positions[v as usize]);
             let outer = (0..2).any(|k| {
                 (p[k] - low[k]).abs() < 2e-6 && (q[k] - low[k]).abs() < 2e-6
                     || (p[k] - high[k]).abs() < 2e-6 && (q[k] - high[k]).abs() < 2e-6
@@ -516,9 +508,9 @@ mod tests {
 
     #[test]
     fn texture_coordinates_stay_where_they_were() {
-        let partition = Partition::of(sheet(), |_| 1.0, 40.0);
-        for (f, uvs) in partition.mesh.corner_uvs.iter().enumerate() {
-            for (p, uv) in partition.mesh.corners(f).iter().zip(uvs) {
+        let (mesh, ..) = cut(sheet());
+        for (f, uvs) in mesh.corner_uvs.iter().enumerate() {
+            for (p, uv) in mesh.corners(f).iter().zip(uvs) {
                 assert!((p.truncate().as_vec2() / 32.0 - *uv).length() < 1e-4);
             }
         }
@@ -532,7 +524,23 @@ mod tests {
         mesh.faces.push([base, base + 1, base + 2]);
         mesh.corner_uvs.push(Default::default());
         mesh.face_material.push(0);
-        let partition = Partition::of(mesh, |_| 1.0, 40.0);
-        assert!(partition.mesh.faces.len() < 12_000, "{}", partition.mesh.faces.len());
+        let (mesh, ..) = cut(mesh);
+        assert!(mesh.faces.len() < 12_000, "{}", mesh.faces.len());
+    }
+
+    #[test]
+    fn a_point_on_a_wall_touches_the_cells_of_both_sides() {
+        let (_, _, tree) = cut(sheet());
+        let touching = |p: DVec2, depth: u8| {
+            let mut found = Vec::new();
+            tree.touching(p, depth, |c| found.push(c));
+            found.sort_unstable();
+            found
+        };
+        let middle = tree.0[0].plan.center();
+        assert_eq!(touching(middle, 0), [0]);
+        assert_eq!(touching(middle, 1), [1, 2, 3, 4]);
+        assert_eq!(touching(middle + DVec2::new(0.0, 0.5), 1), [3, 4]);
+        assert_eq!(touching(middle + DVec2::new(0.25, 0.5), 1), [4]);
     }
 }

@@ -84,6 +84,26 @@ impl Output {
         fs::write(&path, bytes).map_err(Error::io("write", &path))
     }
 
+    /// The path of a hidden folder beside the output, of its name and `suffix`.
+    pub fn beside(&self, suffix: &str) -> PathBuf {
+        let mut name = OsString::from(".");
+        name.push(self.dir.file_name().unwrap_or_default());
+        name.push(suffix);
+        self.dir.with_file_name(name)
+    }
+
+    /// Takes a finished file from elsewhere on the same file system, which keeps it; copies it where links are not.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn adopt(&self, from: &Path, relative: &str) -> Result<()> {
+        let path = self.partial.join(relative);
+        if let Some(parent) = path.parent() {
+            fs::create_dir_all(parent).map_err(Error::io("create", parent))?;
+        }
+        fs::hard_link(from, &path).or_else(|_| fs::copy(from, &path).map(|_| ())).map_err(Error::io("write", &path))
+    }
+
     /// Publishes everything written, at once.
     ///
     /// # Errors

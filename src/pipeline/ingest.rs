@@ -1,0 +1,674 @@
+//! Brings an input of any size into leaf cells on disk, one file at a time.
+//!
+//! In: a [`Feed`]. Out: a [`City`]; each leaf's part of the surface is a page of the store.
+//!
+//! # Method
+//! 1. *Scan*: files are read one by one (a few at a time where they are small), their bounds taken, their surface
+//!    spilled. Materials and images are kept, images as paths.
+//! 2. *Gate*: every file is placed in the local frame, welded and cleaned by itself.
+//! 3. *Census*: the weight of all faces in plan gives the quadtree.
+//! 4. *Cut*: every file is cut at the cells' walls into buckets, one for each leaf.
+//! 5. *Join*: buckets become meshes by equal positions. Where several files meet, vertices on walls are welded first,
+//!    all together (they are few), then those inside each cell, to what is on its walls before anything else: so both
+//!    sides of a wall agree without seeing each other.
+//!
+//! # Limits
+//! The largest single file has to fit into memory, at about 150 bytes a triangle.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use glam::{DVec2, DVec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::{Job, MOST_EXTENT_M, Resources};
+use crate::geo::{Aabb, Frame, Rect};
+use crate::input::discover::Found;
+use crate::input::{self, ImageRef, InputConfig, Material, Part, Source};
+use crate::mesh::{self, GateReport, Mesh};
+use crate::report::Reporter;
+use crate::store::{PageReader, Store};
+use crate::texture::Images;
+use crate::tiles::content::texels_of;
+use crate::tiles::soup::bits;
+use crate::tiles::{Census, Quadtree, Soup};
+use crate::{Error, Result};
+
+/// Where the source comes from.
+pub enum Feed {
+    /// All of it is there.
+    Memory(Source),
+    /// It is read file by file.
+    Files(Found, InputConfig),
+}
+
+/// What is known of the whole while its surface is in the store.
+pub(super) struct City {
+    pub tree: Quadtree,
+    pub leaves: Vec<Leaf>,
+    pub materials: Vec<Material>,
+    pub images: Vec<ImageRef>,
+    pub copyright: Vec<String>,
+    pub frame: Frame,
+    pub gate: GateReport,
+    /// Furthest that welding and snapping moved a vertex, metres.
+    pub moved_m: f64,
+    /// Lowest z, metres.
+    pub floor_m: f64,
+}
+
+/// A leaf cell that has faces.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(super) struct Leaf {
+    pub cell: u32,
+    pub faces: usize,
+}
+
+/// What a finished ingest leaves beside the leaves' pages.
+#[derive(Serialize, Deserialize)]
+struct Finished {
+    tree: Quadtree,
+    leaves: Vec<Leaf>,
+    gate: GateReport,
+    moved_m: f64,
+    floor_m: f64,
+}
+
+const FINISHED: &str = "ingest.json";
+/// Faces cut at a time.
+const CUT_FACES: usize = 1 << 18;
+/// Images inside containers stay in memory up to this many bytes; beyond it they become files.
+const MOST_ENCODED_BYTES: usize = 64 << 20;
+
+/// Reads all of the feed into the store, or finds that a run before did.
+pub(super) fn ingest(feed: Feed, job: &Job, resources: &Resources, store: &Store, reporter: &Reporter) -> Result<City> {
+    let known: Option<Finished> = store.read_file(FINISHED)?.and_then(|bytes| serde_json::from_slice(&bytes).ok());
+    let mut scan = Scan::new(store, known.is_none());
+    match feed {
+        Feed::Memory(source) => scan.add(source, true)?,
+        Feed::Files(found, config) => {
+            let stage = reporter.stage("input", found.files.len() as u64);
+            let alone = found.files.len() == 1;
+            input::read_each(&found, &config, resources.memory / 8, reporter, |source| {
+                stage.step(1);
+                scan.add(source, alone)
+            })?;
+            scan.all.share_images();
+            let images = scan.all.images.len();
+            stage.finish(format!("{} files, {} triangles, {images} images", found.files.len(), scan.triangles));
+        }
+    }
+    let frame = scan.frame(job, reporter)?;
+    let finished = match known {
+        Some(finished) => {
+            finished.gate.say(&scan.name, reporter)?;
+            finished
+        }
+        None => scan.finish(&frame, job, resources, reporter)?,
+    };
+    let Finished { tree, leaves, gate, moved_m, floor_m } = finished;
+    let Source { materials, images, copyright, .. } = scan.all;
+    Ok(City { tree, leaves, materials, images, copyright, frame, gate, moved_m, floor_m })
+}
+
+/// Files as they are seen for the first time.
+struct Scan<'a> {
+    store: &'a Store,
+    /// Surfaces are wanted, not just what is said about them.
+    spills: bool,
+    /// Everything but parts.
+    all: Source,
+    name: std::path::PathBuf,
+    bounds: Aabb,
+    triangles: usize,
+    units: u32,
+    encoded_bytes: usize,
+    held: Option<Vec<Part>>,
+}
+
+impl<'a> Scan<'a> {
+    fn new(store: &'a Store, spills: bool) -> Self {
+        Self {
+            store,
+            spills,
+            all: Source::default(),
+            name: Default::default(),
+            bounds: Aabb::EMPTY,
+            triangles: 0,
+            units: 0,
+            encoded_bytes: 0,
+            held: None,
+        }
+    }
+
+    fn add(&mut self, mut source: Source, alone: bool) -> Result<()> {
+        for image in &mut source.images {
+            if let ImageRef::Encoded { bytes, .. } = image {
+                self.encoded_bytes += bytes.len();
+                if self.encoded_bytes > MOST_ENCODED_BYTES {
+                    let name = format!("image/{}", blake3::hash(bytes).to_hex());
+                    if !self.store.has(&name) {
+                        self.store.write_file(&name, bytes)?;
+                    }
+                    *image = ImageRef::File(self.store.path(&name));
+                }
+            }
+        }
+        self.all.append(source)?;
+        let parts = std::mem::take(&mut self.all.parts);
+        if let (0, Some(first)) = (self.units, parts.first()) {
+            self.name.clone_from(&first.path);
+        }
+        self.bounds = self.bounds.union(surface_bounds(&parts));
+        self.triangles += parts.iter().map(|p| p.faces.len()).sum::<usize>();
+        if self.spills {
+            if alone {
+                self.held = Some(parts);
+            } else {
+                spill(self.store, self.units, &parts)?;
+            }
+        }
+        self.units += 1;
+        Ok(())
+    }
+
+    fn frame(&self, job: &Job, reporter: &Reporter) -> Result<Frame> {
+        let stage = reporter.stage("frame", 0);
+        if self.bounds.is_empty() {
+            return Err(Error::input(&self.name, "no vertex has finite coordinates; nothing to build"));
+        }
+        let anchor = self.bounds.center().with_z(self.bounds.min.z).round();
+        let frame = Frame::of(job.georeference.clone(), anchor)?;
+        frame.warn(reporter, &self.name);
+        let size = self.bounds.size();
+        stage.finish(format!("{:.0} × {:.0} × {:.0} units, {}", size.x, size.y, size.z, frame.describe()));
+        Ok(frame)
+    }
+
+    /// Gate, census, cut and join.
+    fn finish(&mut self, frame: &Frame, job: &Job, resources: &Resources, reporter: &Reporter) -> Result<Finished> {
+        let stage = reporter.stage("mesh", u64::from(self.units));
+        let mut units = Units { store: self.store, held: None, count: self.units };
+        let mut gate = GateReport::default();
+        let mut bounds = Aabb::EMPTY;
+        for unit in 0..self.units {
+            reporter.check()?;
+            let mut parts = match self.held.take() {
+                Some(parts) => parts,
+                None => unspill(self.store, unit)?,
+            };
+            for part in &mut parts {
+                frame.locals_from_sources(&part.path, &mut part.positions)?;
+            }
+            self.refuse_extent(&surface_bounds(&parts).union(bounds))?;
+            let source = Source { parts, ..Source::default() };
+            let (mesh, report) = mesh::gate_unit(source, &job.config.gate, reporter)?;
+            bounds = bounds.union(Aabb::of(mesh.positions.iter().copied()));
+            gate.add(&report);
+            units.put(unit, mesh)?;
+            stage.step(1);
+        }
+        gate.say(&self.name, reporter)?;
+        let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite, moved_m } = gate;
+        stage.finish(format!(
+            "{vertices_in} → {vertices} vertices, {faces_in} → {faces} triangles ({degenerate} degenerate, {duplicate} duplicate, {not_finite} not finite), moved by up to {:.1} mm", 1e3 * moved_m
+        ));
+        self.cut(units, bounds, gate, job, resources, reporter)
+    }
+
+    fn refuse_extent(&self, local: &Aabb) -> Result<()> {
+        if local.size().max_element() <= MOST_EXTENT_M {
+            return Ok(());
+        }
+        let what = format!(
+            "the model is {:.1e} m wide, and up to {MOST_EXTENT_M:.0e} m can be placed; look for stray vertices between \
+             {} and {}",
+            local.size().max_element(),
+            self.bounds.min,
+            self.bounds.max
+        );
+        Err(Error::input(&self.name, what))
+    }
+
+    fn cut(
+        &self,
+        mut units: Units,
+        bounds: Aabb,
+        gate: GateReport,
+        job: &Job,
+        resources: &Resources,
+        reporter: &Reporter,
+    ) -> Result<Finished> {
+        let stage = reporter.stage("cells", u64::from(units.count));
+        // Unreadable images are told of later, once.
+        let silent = Reporter::new(true);
+        let images = Images::new(self.all.images.clone(), &silent);
+        let levels = &job.config.levels;
+        let mut census = Census::over(bounds.plan());
+        for unit in 0..units.count {
+            let mesh = units.take(unit)?;
+            // A leaf is full when either its faces or its texels are.
+            let weight = |f: usize| {
+                let texels = self.texels(&mesh, f, &images);
+                (1.0 / levels.leaf_faces as f64).max(texels / levels.leaf_texels as f64)
+            };
+            census.count(&mesh, weight);
+            units.keep(mesh);
+        }
+        drop(images);
+        let tree = Quadtree::of(census, 1.0);
+        let mut buckets = Buckets::new(self.store, resources.memory / 8);
+        let mut snapped_m = 0f64;
+        for unit in 0..units.count {
+            let mut mesh = units.take(unit)?;
+            snapped_m = snapped_m.max(tree.snap(&mut mesh));
+            let mut first = 0;
+            while first < mesh.faces.len() {
+                reporter.check()?;
+                let end = (first + CUT_FACES).min(mesh.faces.len());
+                for (leaf, soup) in tree.cut(&mesh, first..end) {
+                    buckets.add(leaf, unit, soup)?;
+                }
+                first = end;
+            }
+            units.remove(unit);
+            stage.step(1);
+        }
+        let joined =
+            Joiner { store: self.store, tree: &tree, weld_m: job.config.gate.weld_m }.join(buckets, reporter)?;
+        let faces: usize = joined.leaves.iter().map(|l| l.faces).sum();
+        let moved_m = gate.moved_m + snapped_m + joined.moved_m;
+        stage.finish(format!(
+            "{} leaves in {} levels, {} → {faces} triangles along their walls, {} welded between files",
+            joined.leaves.len(),
+            tree.depth() + 1,
+            gate.faces,
+            joined.welded
+        ));
+        let gate = GateReport {
+            duplicate: gate.duplicate + joined.duplicate,
+            moved_m: gate.moved_m.max(joined.moved_m),
+            ..gate
+        };
+        let finished = Finished { tree, leaves: joined.leaves, gate, moved_m, floor_m: bounds.min.z };
+        let bytes = serde_json::to_vec(&finished).map_err(|e| Error::Bug(format!("ingest: {e}")))?;
+        self.store.write_file(FINISHED, &bytes)?;
+        Ok(finished)
+    }
+
+    fn texels(&self, mesh: &Mesh, f: usize, images: &Images) -> f64 {
+        let image = self.all.materials.get(mesh.face_material[f] as usize).and_then(|m| m.image);
+        match (mesh.corner_uvs.get(f), image) {
+            (Some(uvs), Some(image)) => texels_of(uvs, images.dimensions(image)),
+            _ => 0.0,
+        }
+    }
+}
+
+/// Of the surface alone: a stray vertex at (0, 0, 0) must not draw the frame away from its model.
+fn surface_bounds(parts: &[Part]) -> Aabb {
+    let corners = parts.iter().flat_map(|p| p.faces.iter().flatten().map(|&v| p.positions[v as usize]));
+    Aabb::of(corners.filter(|p| p.is_finite()))
+}
+
+fn spill(store: &Store, unit: u32, parts: &[Part]) -> Result<()> {
+    let mut page = store.page(&format!("raw/{unit}"))?;
+    page.put(&[parts.len() as u64])?;
+    for part in parts {
+        page.put(part.path.to_string_lossy().as_bytes())?;
+        page.put(&part.positions)?;
+        page.put(&part.faces)?;
+        page.put(&part.corner_uvs)?;
+        page.put(&part.face_material)?;
+        page.put(&part.vertex_colors)?;
+        page.put(&part.face_labels)?;
+    }
+    page.finish()
+}
+
+fn unspill(store: &Store, unit: u32) -> Result<Vec<Part>> {
+    let name = format!("raw/{unit}");
+    let mut page = store.read(&name)?;
+    let count = page.take::<u64>()?.first().copied().unwrap_or(0);
+    let mut parts = Vec::new();
+    for _ in 0..count {
+        parts.push(Part {
+            path: String::from_utf8_lossy(&page.take::<u8>()?).into_owned().into(),
+            positions: page.take()?,
+            faces: page.take()?,
+            corner_uvs: page.take()?,
+            face_material: page.take()?,
+            vertex_colors: page.take()?,
+            face_labels: page.take()?,
+        });
+    }
+    page.finish()?;
+    store.remove(&name);
+    Ok(parts)
+}
+
+/// The gated meshes of all files: in memory where there is one, else in the store.
+struct Units<'a> {
+    store: &'a Store,
+    held: Option<Mesh>,
+    count: u32,
+}
+
+impl Units<'_> {
+    fn put(&mut self, unit: u32, mesh: Mesh) -> Result<()> {
+        if self.count > 1 {
+            return put_mesh(self.store, &format!("unit/{unit}"), &mesh);
+        }
+        self.held = Some(mesh);
+        Ok(())
+    }
+
+    fn take(&mut self, unit: u32) -> Result<Mesh> {
+        match self.held.take() {
+            Some(mesh) => Ok(mesh),
+            None => take_mesh(self.store, &format!("unit/{unit}")),
+        }
+    }
+
+    fn keep(&mut self, mesh: Mesh) {
+        if self.count == 1 {
+            self.held = Some(mesh);
+        }
+    }
+
+    fn remove(&self, unit: u32) {
+        self.store.remove(&format!("unit/{unit}"));
+    }
+}
+
+/// Writes a mesh, materials aside.
+fn put_mesh(store: &Store, name: &str, mesh: &Mesh) -> Result<()> {
+    let mut page = store.page(name)?;
+    page.put(&mesh.positions)?;
+    page.put(&mesh.faces)?;
+    page.put(&mesh.corner_uvs)?;
+    page.put(&mesh.face_material)?;
+    page.put(&mesh.vertex_colors)?;
+    page.put(&mesh.face_labels)?;
+    page.finish()
+}
+
+fn take_mesh(store: &Store, name: &str) -> Result<Mesh> {
+    let mut page = store.read(name)?;
+    let mesh = Mesh {
+        positions: page.take()?,
+        faces: page.take()?,
+        corner_uvs: page.take()?,
+        face_material: page.take()?,
+        vertex_colors: page.take()?,
+        face_labels: page.take()?,
+        materials: Vec::new(),
+    };
+    page.finish()?;
+    Ok(mesh)
+}
+
+/// The source in a leaf, as it was cut.
+pub(super) fn leaf_mesh(store: &Store, cell: u32) -> Result<Mesh> {
+    take_mesh(store, &format!("source/{cell}"))
+}
+
+/// Pieces by leaf and file, in memory up to a size, then in pages.
+struct Buckets<'a> {
+    store: &'a Store,
+    open: BTreeMap<u32, Vec<(u32, Soup)>>,
+    /// Pages of each leaf.
+    pages: BTreeMap<u32, u32>,
+    bytes: u64,
+    most_bytes: u64,
+}
+
+impl<'a> Buckets<'a> {
+    fn new(store: &'a Store, most_bytes: u64) -> Self {
+        Self { store, open: BTreeMap::new(), pages: BTreeMap::new(), bytes: 0, most_bytes }
+    }
+
+    fn add(&mut self, leaf: u32, unit: u32, soup: Soup) -> Result<()> {
+        self.bytes += soup.bytes() as u64;
+        let of_leaf = self.open.entry(leaf).or_default();
+        match of_leaf.last_mut() {
+            Some((last, all)) if *last == unit => all.append(soup),
+            _ => of_leaf.push((unit, soup)),
+        }
+        if self.bytes > self.most_bytes { self.flush() } else { Ok(()) }
+    }
+
+    fn flush(&mut self) -> Result<()> {
+        for (leaf, segments) in std::mem::take(&mut self.open) {
+            let number = self.pages.entry(leaf).or_default();
+            let mut page = self.store.page(&format!("bucket/{leaf}-{number}"))?;
+            *number += 1;
+            let units: Vec<u32> = segments.iter().map(|s| s.0).collect();
+            page.put(&units)?;
+            for (_, soup) in &segments {
+                soup.put(&mut page)?;
+            }
+            page.finish()?;
+        }
+        self.bytes = 0;
+        Ok(())
+    }
+
+    /// Leaves that have anything.
+    fn leaves(&self) -> Vec<u32> {
+        self.pages.keys().chain(self.open.keys()).copied().collect::<BTreeSet<_>>().into_iter().collect()
+    }
+
+    /// All of a leaf in the order it came, and how many files it came from.
+    fn gather(&self, leaf: u32) -> Result<(Soup, usize)> {
+        let (mut all, mut units) = (Soup::default(), BTreeSet::new());
+        for number in 0..self.pages.get(&leaf).copied().unwrap_or(0) {
+            let mut page: PageReader = self.store.read(&format!("bucket/{leaf}-{number}"))?;
+            for unit in page.take::<u32>()? {
+                units.insert(unit);
+                all.append(Soup::take(&mut page)?);
+            }
+            page.finish()?;
+        }
+        for (unit, soup) in self.open.get(&leaf).into_iter().flatten() {
+            units.insert(*unit);
+            all.append(soup.clone());
+        }
+        Ok((all, units.len()))
+    }
+}
+
+struct Joined {
+    leaves: Vec<Leaf>,
+    welded: usize,
+    duplicate: usize,
+    moved_m: f64,
+}
+
+/// Makes the leaves' meshes; see the module.
+struct Joiner<'a> {
+    store: &'a Store,
+    tree: &'a Quadtree,
+    weld_m: f64,
+}
+
+/// A leaf before files are welded.
+struct Raw {
+    cell: u32,
+    faces: usize,
+    units: usize,
+    on_walls: Vec<DVec3>,
+}
+
+impl Joiner<'_> {
+    fn join(&self, buckets: Buckets, reporter: &Reporter) -> Result<Joined> {
+        let raw: Result<Vec<Raw>> = buckets
+            .leaves()
+            .into_par_iter()
+            .map(|cell| {
+                reporter.check()?;
+                let (soup, units) = buckets.gather(cell)?;
+                let mesh = soup.into_mesh();
+                put_mesh(self.store, &format!("source/{cell}"), &mesh)?;
+                let on_wall = |p: &&DVec3| self.is_on_wall(cell, **p);
+                Ok(Raw {
+                    cell,
+                    faces: mesh.faces.len(),
+                    units,
+                    on_walls: mesh.positions.iter().filter(on_wall).copied().collect(),
+                })
+            })
+            .collect();
+        drop(buckets);
+        self.store.remove("bucket");
+        let raw = raw?;
+        let mut joined = Joined { leaves: Vec::new(), welded: 0, duplicate: 0, moved_m: 0.0 };
+        let moves = if raw.iter().any(|r| r.units > 1) { self.weld_walls(&raw) } else { HashMap::new() };
+        let done: Result<Vec<_>> = raw
+            .par_iter()
+            .map(|leaf| {
+                reporter.check()?;
+                let is_moved = leaf.on_walls.iter().any(|p| moves.contains_key(&bits(*p)));
+                if leaf.units > 1 || is_moved { self.weld_leaf(leaf, &moves) } else { Ok((leaf.faces, 0, 0, 0.0)) }
+            })
+            .collect();
+        for (leaf, (faces, welded, duplicate, moved_m)) in raw.iter().zip(done?) {
+            if faces > 0 {
+                joined.leaves.push(Leaf { cell: leaf.cell, faces });
+            }
+            joined.welded += welded;
+            joined.duplicate += duplicate;
+            joined.moved_m = joined.moved_m.max(moved_m);
+        }
+        Ok(joined)
+    }
+
+    fn is_on_wall(&self, cell: u32, p: DVec3) -> bool {
+        let Rect { min, max } = self.tree.0[cell as usize].plan;
+        p.x == min.x || p.x == max.x || p.y == min.y || p.y == max.y
+    }
+
+    /// Where vertices on walls go: to a vertex within the tolerance that is on all of their walls. Those on two walls
+    /// come first, then the order of positions decides, so that it does not matter which cell saw a vertex first.
+    fn weld_walls(&self, raw: &[Raw]) -> HashMap<[u64; 3], DVec3> {
+        let mut all: Vec<(u8, DVec3, [bool; 2])> = Vec::new();
+        for leaf in raw {
+            let Rect { min, max } = self.tree.0[leaf.cell as usize].plan;
+            all.extend(leaf.on_walls.iter().map(|p| {
+                let on = [p.x == min.x || p.x == max.x, p.y == min.y || p.y == max.y];
+                (2 - u8::from(on[0]) - u8::from(on[1]), *p, on)
+            }));
+        }
+        let by_place = |a: &DVec3, b: &DVec3| {
+            (0..3).map(|k| a[k].total_cmp(&b[k])).find(|o| o.is_ne()).unwrap_or(std::cmp::Ordering::Equal)
+        };
+        all.par_sort_unstable_by(|a, b| by_place(&a.1, &b.1).then(a.0.cmp(&b.0)));
+        // A vertex on two walls of one cell may be on one wall of another.
+        all.dedup_by(|later, kept| later.1 == kept.1);
+        all.par_sort_unstable_by(|a, b| a.0.cmp(&b.0).then(by_place(&a.1, &b.1)));
+        let positions: Vec<DVec3> = all.iter().map(|a| a.1).collect();
+        let may = |kept: usize, v: usize| {
+            (0..2).all(|k| !all[v].2[k] || (all[kept].2[k] && positions[kept][k] == positions[v][k]))
+        };
+        let target = greedy(&positions, self.weld_m, may);
+        let moved = (0..positions.len()).filter(|&v| target[v] as usize != v);
+        moved.map(|v| (bits(positions[v]), positions[target[v] as usize])).collect()
+    }
+
+    /// Welds the files of one leaf; faces left, vertices welded, faces dropped as duplicates, furthest move.
+    fn weld_leaf(&self, leaf: &Raw, moves: &HashMap<[u64; 3], DVec3>) -> Result<(usize, usize, usize, f64)> {
+        let name = format!("source/{}", leaf.cell);
+        let mesh = take_mesh(self.store, &name)?;
+        let places: Vec<DVec3> = mesh.positions.iter().map(|p| moves.get(&bits(*p)).copied().unwrap_or(*p)).collect();
+        let on_wall: Vec<bool> = places.iter().map(|p| self.is_on_wall(leaf.cell, *p)).collect();
+        // What is on walls is settled and comes first.
+        let mut order: Vec<u32> = (0..places.len() as u32).collect();
+        order.sort_by_key(|&v| (!on_wall[v as usize], v));
+        let ordered: Vec<DVec3> = order.iter().map(|&v| places[v as usize]).collect();
+        let target = greedy(&ordered, self.weld_m, |_, v| !on_wall[order[v] as usize]);
+        let mut place = places.clone();
+        for (i, &v) in order.iter().enumerate() {
+            place[v as usize] = ordered[target[i] as usize];
+        }
+        let (mut welded, mut moved_m) = (0, 0f64);
+        for (new, old) in place.iter().zip(&mesh.positions) {
+            welded += usize::from(new != old);
+            moved_m = moved_m.max((*new - *old).length());
+        }
+        let before = mesh.faces.len();
+        let mut soup = Soup::default();
+        for f in 0..before {
+            soup.push(&mesh, f, mesh.faces[f].map(|v| place[v as usize]), None);
+        }
+        let mut mesh = soup.into_mesh();
+        let mut seen = std::collections::HashSet::new();
+        let keep: Vec<bool> = mesh
+            .faces
+            .iter()
+            .enumerate()
+            .map(|(f, face)| {
+                let mut key = *face;
+                key.sort_unstable();
+                mesh.cross(f).length_squared() > 0.0 && seen.insert(key)
+            })
+            .collect();
+        let flat = before - mesh.faces.len();
+        mesh.retain_faces(&keep);
+        let duplicate = before - flat - mesh.faces.len();
+        put_mesh(self.store, &name, &mesh)?;
+        Ok((mesh.faces.len(), welded, duplicate, moved_m))
+    }
+}
+
+/// For every vertex, in order, the first kept one within the tolerance that it may join, else itself, which is then kept.
+fn greedy(positions: &[DVec3], tolerance_m: f64, may: impl Fn(usize, usize) -> bool) -> Vec<u32> {
+    let mut target: Vec<u32> = (0..positions.len() as u32).collect();
+    if tolerance_m <= 0.0 {
+        return target;
+    }
+    let cell_m = 8.0 * tolerance_m;
+    let mut kept: HashMap<[i64; 3], Vec<u32>> = HashMap::with_capacity(positions.len() / 4);
+    for (v, &p) in positions.iter().enumerate() {
+        let (low, high) = (((p - tolerance_m) / cell_m).floor(), ((p + tolerance_m) / cell_m).floor());
+        let (low, high) = (low.as_i64vec3(), high.as_i64vec3());
+        let mut found = u32::MAX;
+        for x in low.x..=high.x {
+            for y in low.y..=high.y {
+                for z in low.z..=high.z {
+                    for &k in kept.get(&[x, y, z]).into_iter().flatten() {
+                        let near = (positions[k as usize] - p).length_squared() <= tolerance_m * tolerance_m;
+                        if near && k < found && may(k as usize, v) {
+                            found = k;
+                        }
+                    }
+                }
+            }
+        }
+        if found == u32::MAX {
+            let own = (p / cell_m).floor().as_i64vec3();
+            kept.entry(own.to_array()).or_default().push(v as u32);
+        } else {
+            target[v] = found;
+        }
+    }
+    target
+}
+
+/// Distance between two rectangles in plan, metres; 0 where they touch.
+pub(super) fn gap(a: &Rect, b: &Rect) -> f64 {
+    (a.min - b.max).max(b.min - a.max).max(DVec2::ZERO).length()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_vertex_joins_the_first_kept_one_it_may() {
+        let at = |x: f64| DVec3::new(x, 0.0, 0.0);
+        let places = [at(0.0), at(0.0008), at(0.0016), at(0.5)];
+        assert_eq!(greedy(&places, 0.001, |_, _| true), [0, 0, 2, 3], "no chains");
+        assert_eq!(greedy(&places, 0.001, |k, _| k != 0), [0, 1, 1, 3]);
+        assert_eq!(greedy(&places, 0.0, |_, _| true), [0, 1, 2, 3]);
+    }
+}

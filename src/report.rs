@@ -10,6 +10,7 @@ use std::time::{Duration, Instant};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
 
+use crate::store::memory;
 use crate::{Error, Result};
 
 /// The signal that asked this process to stop, 0 while none has.
@@ -98,7 +99,7 @@ impl Reporter {
             bar
         } else {
             let bar = ProgressBar::new(total);
-            bar.set_style(template("{msg:10} {wide_bar} {pos}/{len} eta {eta}"));
+            bar.set_style(template("{msg:10} {wide_bar} {pos}/{len} eta {eta} {prefix}"));
             bar
         };
         bar.set_message(name);
@@ -142,12 +143,20 @@ impl Stage<'_> {
     /// One step further. May be called from any thread.
     pub fn step(&self, steps: u64) {
         self.bar.inc(steps);
+        if let Some(bytes) = memory::in_use().filter(|_| !self.bar.is_hidden()) {
+            self.bar.set_prefix(format!("{} MB", bytes / 1_000_000));
+        }
     }
 
     /// Ends the stage with its one line of numbers.
     pub fn finish(self, summary: String) {
-        self.bar.finish_and_clear();
         let seconds = self.started.elapsed().as_secs_f64();
+        self.finish_after(seconds, summary);
+    }
+
+    /// Ends a stage that others took turns with, and that took `seconds` itself.
+    pub fn finish_after(self, seconds: f64, summary: String) {
+        self.bar.finish_and_clear();
         self.reporter.say(&format!("{:10} {summary} ({seconds:.1} s)", self.name));
         let mut stages = self.reporter.stages.lock().unwrap_or_else(|e| e.into_inner());
         stages.push(StageTime { stage: self.name, seconds, summary });

@@ -53,6 +53,8 @@ pub struct GateReport {
     pub duplicate: usize,
     /// Triangles dropped for a vertex that is not finite.
     pub not_finite: usize,
+    /// Vertices of different files that were welded, where the input is several.
+    pub joined: usize,
     /// Furthest that welding moved a vertex, metres: part of every tile's error.
     pub moved_m: f64,
 }

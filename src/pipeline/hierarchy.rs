@@ -4,10 +4,11 @@
 //!
 //! # Method
 //! A tile is measured against the source below it and painted from it, as long as that has at most
-//! [`REFERENCE_FACES`]; a larger one against the finest tiles below it that together have no more. So no tile needs more
+//! [`LevelsConfig::reference_faces`](crate::tiles::LevelsConfig); a larger one against the finest tiles below it that together have no more. So no tile needs more
 //! than a fixed amount of memory, and its error is at most a few finer tiles' errors too large.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::{Duration, Instant};
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -28,8 +29,6 @@ use crate::tiles::levels::{FIRST_TOLERANCE_EDGES, LEAST_REDUCTION, MOST_EXTRA_RO
 use crate::write::{self, GlbOptions};
 use crate::{Error, Result};
 
-/// What a tile stands for has at most this many faces while it is measured, about 0.2 kB each.
-const REFERENCE_FACES: u64 = 1_000_000;
 /// Memory one tile in the making takes at most, about, bytes; a leaf takes a third of it.
 const TILE_BYTES: u64 = 450_000_000;
 
@@ -79,6 +78,8 @@ pub(super) struct Hierarchy<'a> {
     pub nodes: Vec<Node>,
     /// Tiles that stand for each cell so far: one, or none.
     of_cell: Vec<Option<u32>>,
+    /// Time that steps took, the tiles between them aside.
+    collapsing: Duration,
 }
 
 /// An inner tile to be made.
@@ -109,12 +110,24 @@ impl<'a> Hierarchy<'a> {
             moved_m: city.moved_m,
         };
         let of_cell = vec![None; city.tree.0.len()];
-        Self { city, job, store, reporter, maker, images, memory: resources.memory, nodes: Vec::new(), of_cell }
+        Self {
+            city,
+            job,
+            store,
+            reporter,
+            maker,
+            images,
+            memory: resources.memory,
+            nodes: Vec::new(),
+            of_cell,
+            collapsing: Duration::ZERO,
+        }
     }
 
     /// Leaves, then level after level up to the root.
     pub fn make(&mut self, median_edge_m: f64) -> Result<()> {
         let inner = self.inner_cells();
+        let began = Instant::now();
         let stage = self.reporter.stage("tiles", (self.city.leaves.len() + inner) as u64);
         self.make_leaves(&stage)?;
         let levels = &self.job.config.levels;
@@ -124,7 +137,9 @@ impl<'a> Hierarchy<'a> {
         let mut scale = median_edge_m.max(1e-3) * FIRST_TOLERANCE_EDGES / loosest;
         let mut last_m = 0.0;
         for depth in (0..city.tree.depth()).rev() {
+            let merging = Instant::now();
             steps.merge(depth, scale)?;
+            self.collapsing += merging.elapsed();
             last_m = self.collapse(&mut steps, &mut scale, depth, levels.tile_faces)?;
             if depth > 0 {
                 self.make_level(&steps, depth, last_m, &stage)?;
@@ -133,12 +148,12 @@ impl<'a> Hierarchy<'a> {
         self.make_roots(&mut steps, scale, last_m, &stage)?;
         let (count, collapses) = (steps.count(), steps.collapses);
         let bytes: u64 = self.nodes.iter().map(|n| n.record.bytes).sum();
-        stage.finish(format!(
-            "{collapses} collapses in {count} steps to scale {:.2}, {} tiles, {:.1} MB",
-            self.nodes.last().map_or(0.0, |n| n.scale),
-            self.nodes.len(),
-            bytes as f64 / 1e6
-        ));
+        let (seconds, all) = (self.collapsing.as_secs_f64(), began.elapsed().as_secs_f64());
+        let scale = self.nodes.last().map_or(0.0, |n| n.scale);
+        let collapse = self.reporter.stage("collapse", 0);
+        collapse.finish_after(seconds, format!("{collapses} collapses in {count} steps to scale {scale:.2}"));
+        let summary = format!("{} tiles, {:.1} MB", self.nodes.len(), bytes as f64 / 1e6);
+        stage.finish_after(all - seconds, summary);
         Ok(())
     }
 
@@ -158,13 +173,14 @@ impl<'a> Hierarchy<'a> {
 
     /// Steps on until no inner cell of `depth` has more than `most` faces and the level is worth having; returns the
     /// last scale.
-    fn collapse(&self, steps: &mut Steps, scale: &mut f64, depth: u8, most: usize) -> Result<f64> {
+    fn collapse(&mut self, steps: &mut Steps, scale: &mut f64, depth: u8, most: usize) -> Result<f64> {
         let tree = &self.city.tree;
         let mut progress = Progress::new(steps.faces(), most);
         loop {
             self.reporter.check()?;
-            let last = *scale;
+            let (last, began) = (*scale, Instant::now());
             steps.step(last, depth)?;
+            self.collapsing += began.elapsed();
             *scale *= self.job.config.levels.step_ratio;
             let inner = steps.cells().filter(|(cell, _)| tree.0[*cell as usize].children.is_some());
             let heaviest = inner.map(|(_, faces)| faces as usize).max().unwrap_or(0);
@@ -338,6 +354,7 @@ impl<'a> Hierarchy<'a> {
             let node = &self.nodes[*tile as usize];
             if node.is_leaf() { node.source_faces } else { node.record.triangles as u64 }
         };
+        let most = self.job.config.levels.reference_faces as u64;
         let mut frontier = children.to_vec();
         loop {
             let finer: Vec<u32> = frontier
@@ -347,7 +364,7 @@ impl<'a> Hierarchy<'a> {
                     node => node.children.clone(),
                 })
                 .collect();
-            if finer == frontier || finer.iter().map(faces).sum::<u64>() > REFERENCE_FACES {
+            if finer == frontier || finer.iter().map(faces).sum::<u64>() > most {
                 return frontier;
             }
             frontier = finer;

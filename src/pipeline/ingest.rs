@@ -209,7 +209,8 @@ impl<'a> Scan<'a> {
             stage.step(1);
         }
         gate.say(&self.name, reporter)?;
-        let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite, moved_m } = gate;
+        let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite, moved_m, .. } =
+            gate;
         stage.finish(format!(
             "{vertices_in} → {vertices} vertices, {faces_in} → {faces} triangles ({degenerate} degenerate, {duplicate} duplicate, {not_finite} not finite), moved by up to {:.1} mm", 1e3 * moved_m
         ));
@@ -283,10 +284,11 @@ impl<'a> Scan<'a> {
             joined.leaves.len(),
             tree.depth() + 1,
             gate.faces,
-            joined.welded
+            joined.joined
         ));
         let gate = GateReport {
             duplicate: gate.duplicate + joined.duplicate,
+            joined: joined.joined,
             moved_m: gate.moved_m.max(joined.moved_m),
             ..gate
         };
@@ -480,7 +482,7 @@ impl<'a> Buckets<'a> {
 
 struct Joined {
     leaves: Vec<Leaf>,
-    welded: usize,
+    joined: usize,
     duplicate: usize,
     moved_m: f64,
 }
@@ -522,8 +524,9 @@ impl Joiner<'_> {
         drop(buckets);
         self.store.remove("bucket");
         let raw = raw?;
-        let mut joined = Joined { leaves: Vec::new(), welded: 0, duplicate: 0, moved_m: 0.0 };
+        let mut joined = Joined { leaves: Vec::new(), joined: 0, duplicate: 0, moved_m: 0.0 };
         let moves = if raw.iter().any(|r| r.units > 1) { self.weld_walls(&raw) } else { HashMap::new() };
+        joined.joined = moves.len();
         let done: Result<Vec<_>> = raw
             .par_iter()
             .map(|leaf| {
@@ -536,7 +539,7 @@ impl Joiner<'_> {
             if faces > 0 {
                 joined.leaves.push(Leaf { cell: leaf.cell, faces });
             }
-            joined.welded += welded;
+            joined.joined += welded;
             joined.duplicate += duplicate;
             joined.moved_m = joined.moved_m.max(moved_m);
         }
@@ -592,7 +595,7 @@ impl Joiner<'_> {
         }
         let (mut welded, mut moved_m) = (0, 0f64);
         for (new, old) in place.iter().zip(&mesh.positions) {
-            welded += usize::from(new != old);
+            welded += usize::from(new != old && !moves.contains_key(&bits(*old)));
             moved_m = moved_m.max((*new - *old).length());
         }
         let before = mesh.faces.len();

@@ -26,10 +26,8 @@ use crate::tiles::Quadtree;
 use crate::tiles::soup::bits;
 use crate::{Error, Result};
 
-/// A window has at most this many faces of its own, about 0.3 kB each while it is classified.
-const WINDOW_FACES: u64 = 2_000_000;
-/// A window and its halo have at most this many.
-const HALO_FACES: u64 = 3_500_000;
+/// A window and its halo have at most this many times the faces a window may have.
+const MOST_WITH_HALO: f64 = 1.75;
 /// How far the halo reaches, metres: the widest building that the ground runs under is 62 m.
 const HALO_M: f64 = 64.0;
 
@@ -66,7 +64,7 @@ pub(super) fn label(
     reporter: &Reporter,
 ) -> Result<Labels> {
     let cells = city.leaves.iter().map(|l| Weighed { cell: l.cell, weight: l.faces as u64 }).collect();
-    let windows = windows::split(&city.tree, cells, WINDOW_FACES, 0.5);
+    let windows = windows::split(&city.tree, cells, config.levels.window_faces as u64, 0.5);
     let stage = reporter.stage("classes", windows.len() as u64);
     let mut all: Vec<Finished> = Vec::new();
     for (w, window) in windows.iter().enumerate() {
@@ -104,7 +102,8 @@ fn label_window(
     store: &Store,
     reporter: &Reporter,
 ) -> Result<Finished> {
-    let halo = windows::halo(&city.tree, &city.leaves, window, HALO_M, HALO_FACES);
+    let most = (config.levels.window_faces as f64 * MOST_WITH_HALO) as u64;
+    let halo = windows::halo(&city.tree, &city.leaves, window, HALO_M, most);
     let own = window.iter().map(|w| w.cell);
     let (mut mesh, starts) = joined(store, &city.tree, own.chain(halo))?;
     align(&mut mesh, city.floor_m);

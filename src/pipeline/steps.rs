@@ -23,8 +23,9 @@ use crate::report::Reporter;
 use crate::store::Store;
 use crate::{Error, Result};
 
-/// A window has at most this many faces and samples together, about 100 bytes each while it collapses.
-const WINDOW_ITEMS: u64 = 4_000_000;
+/// A window has at most this many faces and samples for each face it may have: what collapses needs less memory for
+/// each than what is classified.
+const ITEMS_PER_FACE: u64 = 2;
 
 /// The current surface, cell by cell.
 pub(super) struct Steps<'a> {
@@ -112,8 +113,9 @@ impl<'a> Steps<'a> {
             odd: !self.steps.is_multiple_of(2),
         };
         self.steps += 1;
+        let most = ITEMS_PER_FACE * self.config.levels.window_faces as u64;
         let cells = self.state.iter().map(|(&cell, s)| Weighed { cell, weight: s.faces + s.samples }).collect();
-        let windows = windows::split(&self.city.tree, cells, WINDOW_ITEMS, cut_share(settings.odd));
+        let windows = windows::split(&self.city.tree, cells, most, cut_share(settings.odd));
         self.advance(|steps, page| {
             let (mut state, mut collapses) = (BTreeMap::new(), 0);
             for window in &windows {

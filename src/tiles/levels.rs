@@ -25,6 +25,12 @@ pub struct LevelsConfig {
     pub tile_faces: usize,
     /// A root above this many faces gets a lighter one on top. Default: 8 000, about 400 kB with its texture.
     pub root_faces: usize,
+    /// What is classified or collapsed at a time has about this many faces, and takes 0.4 kB of memory for each.
+    /// Default: 2 000 000.
+    pub window_faces: usize,
+    /// A tile is measured against the source below it as long as that has at most this many faces, else against finer
+    /// tiles; it takes 0.4 kB of memory for each. Default: 1 000 000.
+    pub reference_faces: usize,
     /// Scale of a step over that of the step before. Default: 1.6: larger steps overshoot the faces a
     /// tile may have, smaller ones try every edge more often and end up no nearer to the source.
     pub step_ratio: f64,
@@ -32,7 +38,15 @@ pub struct LevelsConfig {
 
 impl Default for LevelsConfig {
     fn default() -> Self {
-        Self { leaf_faces: 40_000, leaf_texels: 1 << 22, tile_faces: 30_000, root_faces: 8_000, step_ratio: 1.6 }
+        Self {
+            leaf_faces: 40_000,
+            leaf_texels: 1 << 22,
+            tile_faces: 30_000,
+            root_faces: 8_000,
+            window_faces: 2_000_000,
+            reference_faces: 1_000_000,
+            step_ratio: 1.6,
+        }
     }
 }
 
@@ -40,9 +54,13 @@ impl LevelsConfig {
     /// What is wrong with the settings, in words.
     pub fn faults(&self) -> Vec<String> {
         let mut faults = Vec::new();
-        for (name, value) in
-            [("leaf_faces", self.leaf_faces), ("tile_faces", self.tile_faces), ("root_faces", self.root_faces)]
-        {
+        for (name, value) in [
+            ("leaf_faces", self.leaf_faces),
+            ("tile_faces", self.tile_faces),
+            ("root_faces", self.root_faces),
+            ("window_faces", self.window_faces),
+            ("reference_faces", self.reference_faces),
+        ] {
             if value < 100 {
                 faults.push(format!("levels.{name} is {value}; use at least 100"));
             }

@@ -8,6 +8,7 @@
 //! | `tileset` | what a published tileset promises, measured with readers and oracles of the tests' own |
 //! | `formats` | hundreds of odd files of other projects: no panic, no hang, no memory |
 //! | `layers` | which module may know which |
+//! | `resume` | a killed build goes on, and nothing of that, of memory or of threads shows in the bytes |
 //! | `real` | a real scan, from end to end |
 //!
 //! `ROOFTILE_DATA` names the folder of real scans and odd files. Without it those tests are skipped, and say so; where
@@ -20,4 +21,5 @@ mod determinism;
 mod formats;
 mod layers;
 mod real;
+mod resume;
 mod tileset;

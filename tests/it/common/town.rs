@@ -11,8 +11,15 @@ use serde_json::Value;
 use super::glb::{self, Tile};
 use super::{Run, rooftile};
 
-/// Smaller tiles than by default: three or four levels from a small city.
-const SETTINGS: [&str; 3] = ["levels.leaf_faces=8000", "levels.tile_faces=6000", "levels.root_faces=3000"];
+/// Smaller tiles than by default: three or four levels from a small city. Smaller windows and references, too: what only
+/// large cities meet otherwise.
+const SETTINGS: [&str; 5] = [
+    "levels.leaf_faces=8000",
+    "levels.tile_faces=6000",
+    "levels.root_faces=3000",
+    "levels.window_faces=40000",
+    "levels.reference_faces=40000",
+];
 
 /// One tile of the tree with what it draws.
 pub struct Node {

@@ -1,0 +1,136 @@
+//! A build that was killed goes on where it was, and the bytes are those of one that was not.
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use crate::common::{build, command, files, names, shapes};
+
+const PATIENCE: Duration = Duration::from_secs(300);
+/// Many cells and windows from a small input.
+const SETS: [&str; 8] = [
+    "--set",
+    "levels.leaf_faces=2000",
+    "--set",
+    "levels.tile_faces=1500",
+    "--set",
+    "levels.window_faces=6000",
+    "--set",
+    "levels.reference_faces=9000",
+];
+
+/// Two files whose border agrees to within the tolerance.
+fn input(folder: &Path) -> PathBuf {
+    let hills = shapes::hills(&folder.join("in/a"), 90);
+    let text = std::fs::read_to_string(&hills).expect("a file");
+    let shifted: String = text
+        .lines()
+        .map(|line| match line.strip_prefix("v ").and_then(|rest| rest.split_once(' ')) {
+            Some((x, rest)) => format!("v {} {rest}\n", 90.0 * 2.0 - x.parse::<f64>().expect("a number") + 0.0004),
+            None => match line.strip_prefix("f ") {
+                // A mirrored face turns over: the other way round it looks up again.
+                Some(face) => format!("f {}\n", face.split(' ').rev().collect::<Vec<_>>().join(" ")),
+                None => format!("{line}\n"),
+            },
+        })
+        .collect();
+    std::fs::create_dir_all(folder.join("in/b")).expect("a folder");
+    std::fs::write(folder.join("in/b/hills.obj"), shifted).expect("a file");
+    folder.join("in")
+}
+
+/// Starts a build, kills it as soon as `page` is in its work folder; false if it ended before.
+#[cfg(unix)]
+fn killed_at(input: &Path, out: &Path, page: &str) -> bool {
+    let mut args = SETS.to_vec();
+    args.extend(["-q", "--threads", "1", "--resume"]);
+    let mut run = command();
+    run.arg("build").arg(input).arg("-o").arg(out).args(args).stdout(Stdio::null()).stderr(Stdio::null());
+    let mut run = run.spawn().expect("the program starts");
+    let page = out.with_file_name(".out.work").join(page);
+    let begun = Instant::now();
+    while !page.exists() {
+        if run.try_wait().expect("a state").is_some() {
+            return false;
+        }
+        assert!(begun.elapsed() < PATIENCE, "{} never came", page.display());
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    run.kill().expect("a kill");
+    run.wait().expect("an end");
+    true
+}
+
+fn whole(input: &Path, out: &Path, more: &[&str]) -> BTreeMap<PathBuf, Option<Vec<u8>>> {
+    build(input, out, &[&SETS[..], more].concat()).wants(0);
+    files(out)
+}
+
+#[cfg(unix)]
+#[test]
+fn a_build_killed_again_and_again_ends_with_the_same_bytes() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let input = input(temp.path());
+    let wanted = whole(&input, &temp.path().join("whole"), &[]);
+    assert!(wanted.len() > 20, "{:?}", wanted.keys());
+    let out = temp.path().join("out");
+    let mut kills = 0;
+    for page in [
+        "raw/0",
+        "source/9",
+        "ingest.json",
+        "labels/window-0.json",
+        "tile/3.json",
+        "step/0.json",
+        "step/4.json",
+        "tile/30.json",
+    ] {
+        kills += u32::from(killed_at(&input, &out, page));
+        assert!(!out.exists(), "an unfinished output appeared after {page}");
+    }
+    assert!(kills >= 6, "{kills} kills");
+    assert!(names(temp.path()).contains(&".out.work".to_owned()), "nothing was kept");
+    let resumed = whole(&input, &out, &["--resume"]);
+    assert_eq!(resumed.keys().collect::<Vec<_>>(), wanted.keys().collect::<Vec<_>>());
+    for (path, bytes) in &wanted {
+        assert!(resumed[path] == *bytes, "{} differs", path.display());
+    }
+    assert_eq!(names(temp.path()), ["in", "out", "whole"], "something was left behind");
+}
+
+#[cfg(unix)]
+#[test]
+fn work_of_other_inputs_or_settings_is_not_taken_over() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let input = input(temp.path());
+    let out = temp.path().join("out");
+    assert!(killed_at(&input, &out, "step/0.json"));
+    let hills = shapes::hills(&temp.path().join("other"), 60);
+    let wanted = whole(&hills, &temp.path().join("whole"), &[]);
+    let resumed = whole(&hills, &out, &["--resume"]);
+    assert!(resumed == wanted);
+}
+
+#[test]
+fn neither_memory_nor_threads_show_in_the_bytes() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let input = input(temp.path());
+    let one = whole(&input, &temp.path().join("one"), &["--threads", "1", "--memory", "500MB"]);
+    let two = whole(&input, &temp.path().join("two"), &["--threads", "3", "--memory", "8GiB"]);
+    assert!(one == two);
+    for (bad, word) in [("12MB", "500MB"), ("lots", "2GB")] {
+        let run = build(&input, &temp.path().join("three"), &["--memory", bad]).wants(2);
+        assert!(run.stderr.contains(word), "{}", run.stderr);
+    }
+}
+
+#[test]
+fn files_that_almost_meet_are_welded() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let input = input(temp.path());
+    let run = build(&input, &temp.path().join("out"), &[&SETS[..], &["--json"]].concat()).wants(0).json();
+    let joined = run["gate"]["joined"].as_u64().expect("a count");
+    assert!((91..150).contains(&joined), "the 91 vertices of the common border, and where walls cut it: {joined}");
+    assert_eq!(run["gate"]["faces"], 4 * 90 * 90);
+}

@@ -3,9 +3,11 @@
 //! The pipeline, one noun per arrow (see [`pipeline`]):
 //!
 //! ```text
-//! input ─► mesh ─► planes ─► classes ─► collapse ─► tiles ─► texture ─► write
-//! Source   Mesh    Planes    Classes    CollapseLog TileTree Baked      GLB, tileset.json
+//! input ─► mesh ─► cells ─► planes ─► classes ─► collapse ─► tiles    ─► texture ─► write
+//! Source   Mesh    leaves   Planes    Classes    Patch       MadeTile    Baked      GLB, tileset.json
 //! ```
+//!
+//! From `cells` on a build holds a window of the whole in memory; the rest lies in a [`store`] beside the output.
 //!
 //! `input` is the only module that sees untrusted bytes and `mesh` the only gate behind it: past the gate the
 //! stages cannot fail. `serve` and `inspect` read published files only and know nothing of the builder.

@@ -55,6 +55,9 @@ pub struct GateReport {
     pub not_finite: usize,
     /// Vertices of different files that were welded, where the input is several.
     pub joined: usize,
+    /// Length of borders that lie within two centimetres of another border and were not welded to it, where the input is
+    /// several files, metres.
+    pub unmatched_m: f64,
     /// Furthest that welding moved a vertex, metres: part of every tile's error.
     pub moved_m: f64,
 }
@@ -144,6 +147,13 @@ impl GateReport {
         reporter.warn_many("dropped-duplicate", name, self.duplicate as u64, "triangles that repeat another");
         let what = "triangles with a vertex that is not a finite number";
         reporter.warn_many("dropped-not-finite", name, self.not_finite as u64, what);
+        if self.unmatched_m > 0.0 {
+            let what = format!(
+                "{:.1} m of borders of the input's files almost meet and do not; gate.weld_m closes wider gaps",
+                self.unmatched_m
+            );
+            reporter.warn("cracks-between-files", name, what);
+        }
         if self.faces == 0 {
             let what = format!("none of its {} triangles has an area; nothing to build", self.faces_in);
             return Err(Error::input(name, what));

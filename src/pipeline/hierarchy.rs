@@ -7,6 +7,7 @@
 //! [`LevelsConfig::reference_faces`](crate::tiles::LevelsConfig); a larger one against the finest tiles below it that together have no more. So no tile needs more
 //! than a fixed amount of memory, and its error is at most a few finer tiles' errors too large.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::{Duration, Instant};
 
@@ -59,12 +60,17 @@ pub(super) struct Record {
     pub texel_m: f64,
     pub triangles: usize,
     pub classes: Vec<ClassDeviation>,
+    /// Of a leaf: images it uses that cannot be read, and what to say of them.
+    pub faults: BTreeMap<u32, String>,
 }
 
 /// The name of a tile's content in the store.
 pub(super) fn content_name(tile: usize) -> String {
     format!("tile/{tile}.glb")
 }
+
+/// A tile, the surface it was made of if that is not the source, and images it could not read.
+type Made<'m> = (MadeTile, Option<&'m TileMesh>, BTreeMap<u32, String>);
 
 /// Makes all tiles.
 pub(super) struct Hierarchy<'a> {
@@ -196,7 +202,8 @@ impl<'a> Hierarchy<'a> {
             let record = self.once(i, || {
                 let source = self.leaf(leaves[i].cell)?;
                 let view = self.view(&source, Vec::new());
-                Ok((self.maker.make_leaf(&source, &view)?, None))
+                let made = self.maker.make_leaf(&source, &view)?;
+                Ok((made, None, self.faults(&source)))
             });
             stage.step(1);
             record
@@ -291,8 +298,15 @@ impl<'a> Hierarchy<'a> {
             let (source, images) = self.reference(&plan.children)?;
             let view = self.view(&source, images);
             let made = self.maker.make_inner(&plan.mesh, plan.is_root, &source, &view)?;
-            Ok((made, Some(&plan.mesh)))
+            Ok((made, Some(&plan.mesh), BTreeMap::new()))
         })
+    }
+
+    /// Unreadable images that a leaf uses. Its making decoded them all, so this depends on nothing else.
+    fn faults(&self, source: &Reference) -> BTreeMap<u32, String> {
+        let material = |m: &u32| source.materials.get(*m as usize).and_then(|m| m.image);
+        let used: BTreeSet<u32> = source.face_material.iter().filter_map(material).collect();
+        self.images.faults().into_iter().filter(|(image, _)| used.contains(image)).collect()
     }
 
     /// Images of a surface: the input's, and `more`.
@@ -304,13 +318,13 @@ impl<'a> Hierarchy<'a> {
     }
 
     /// Makes a tile and writes it, unless a run before did.
-    fn once<'m>(&self, tile: usize, make: impl FnOnce() -> Result<(MadeTile, Option<&'m TileMesh>)>) -> Result<Record> {
+    fn once<'m>(&self, tile: usize, make: impl FnOnce() -> Result<Made<'m>>) -> Result<Record> {
         self.reporter.check()?;
         let name = format!("tile/{tile}.json");
         if let Some(record) = self.store.read_file(&name)?.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
             return Ok(record);
         }
-        let (made, mesh) = make()?;
+        let (made, mesh, faults) = make()?;
         let options = GlbOptions {
             compress: self.job.config.write.compress,
             primitives_per_class: self.job.config.write.primitives_per_class,
@@ -330,6 +344,7 @@ impl<'a> Hierarchy<'a> {
             texel_m: made.texel_m,
             triangles: made.triangles,
             classes: made.classes,
+            faults,
         };
         let bytes = serde_json::to_vec(&record).map_err(|e| Error::Bug(format!("tile: {e}")))?;
         self.store.write_file(&name, &bytes)?;

@@ -21,7 +21,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Job, MOST_EXTENT_M, Resources};
+use super::{Job, MOST_EXTENT_M, Resources, cracks};
 use crate::geo::{Aabb, Frame, Rect};
 use crate::input::discover::Found;
 use crate::input::{self, ImageRef, InputConfig, Material, Part, Source};
@@ -100,12 +100,10 @@ pub(super) fn ingest(feed: Feed, job: &Job, resources: &Resources, store: &Store
     }
     let frame = scan.frame(job, reporter)?;
     let finished = match known {
-        Some(finished) => {
-            finished.gate.say(&scan.name, reporter)?;
-            finished
-        }
+        Some(finished) => finished,
         None => scan.finish(&frame, job, resources, reporter)?,
     };
+    finished.gate.say(&scan.name, reporter)?;
     let Finished { tree, leaves, gate, moved_m, floor_m } = finished;
     let Source { materials, images, copyright, .. } = scan.all;
     Ok(City { tree, leaves, materials, images, copyright, frame, gate, moved_m, floor_m })
@@ -208,7 +206,9 @@ impl<'a> Scan<'a> {
             units.put(unit, mesh)?;
             stage.step(1);
         }
-        gate.say(&self.name, reporter)?;
+        if gate.faces == 0 {
+            gate.say(&self.name, reporter)?;
+        }
         let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite, moved_m, .. } =
             gate;
         stage.finish(format!(
@@ -289,6 +289,7 @@ impl<'a> Scan<'a> {
         let gate = GateReport {
             duplicate: gate.duplicate + joined.duplicate,
             joined: joined.joined,
+            unmatched_m: joined.unmatched_m,
             moved_m: gate.moved_m.max(joined.moved_m),
             ..gate
         };
@@ -483,6 +484,7 @@ impl<'a> Buckets<'a> {
 struct Joined {
     leaves: Vec<Leaf>,
     joined: usize,
+    unmatched_m: f64,
     duplicate: usize,
     moved_m: f64,
 }
@@ -501,6 +503,20 @@ struct Raw {
     units: usize,
     on_walls: Vec<DVec3>,
 }
+
+/// What became of a leaf when its files were welded.
+#[derive(Default)]
+struct Welded {
+    faces: usize,
+    /// Joined to others, those on walls aside.
+    vertices: usize,
+    duplicate: usize,
+    unmatched_m: f64,
+    moved_m: f64,
+}
+
+/// Borders of files this near to one another were meant to meet, metres.
+const CRACK_M: f64 = 0.02;
 
 impl Joiner<'_> {
     fn join(&self, buckets: Buckets, reporter: &Reporter) -> Result<Joined> {
@@ -524,24 +540,26 @@ impl Joiner<'_> {
         drop(buckets);
         self.store.remove("bucket");
         let raw = raw?;
-        let mut joined = Joined { leaves: Vec::new(), joined: 0, duplicate: 0, moved_m: 0.0 };
+        let mut joined = Joined { leaves: Vec::new(), joined: 0, unmatched_m: 0.0, duplicate: 0, moved_m: 0.0 };
         let moves = if raw.iter().any(|r| r.units > 1) { self.weld_walls(&raw) } else { HashMap::new() };
         joined.joined = moves.len();
-        let done: Result<Vec<_>> = raw
+        let done: Result<Vec<Welded>> = raw
             .par_iter()
             .map(|leaf| {
                 reporter.check()?;
                 let is_moved = leaf.on_walls.iter().any(|p| moves.contains_key(&bits(*p)));
-                if leaf.units > 1 || is_moved { self.weld_leaf(leaf, &moves) } else { Ok((leaf.faces, 0, 0, 0.0)) }
+                let untouched = Welded { faces: leaf.faces, ..Welded::default() };
+                if leaf.units > 1 || is_moved { self.weld_leaf(leaf, &moves) } else { Ok(untouched) }
             })
             .collect();
-        for (leaf, (faces, welded, duplicate, moved_m)) in raw.iter().zip(done?) {
-            if faces > 0 {
-                joined.leaves.push(Leaf { cell: leaf.cell, faces });
+        for (leaf, welded) in raw.iter().zip(done?) {
+            if welded.faces > 0 {
+                joined.leaves.push(Leaf { cell: leaf.cell, faces: welded.faces });
             }
-            joined.joined += welded;
-            joined.duplicate += duplicate;
-            joined.moved_m = joined.moved_m.max(moved_m);
+            joined.joined += welded.vertices;
+            joined.duplicate += welded.duplicate;
+            joined.unmatched_m += welded.unmatched_m;
+            joined.moved_m = joined.moved_m.max(welded.moved_m);
         }
         Ok(joined)
     }
@@ -578,8 +596,8 @@ impl Joiner<'_> {
         moved.map(|v| (bits(positions[v]), positions[target[v] as usize])).collect()
     }
 
-    /// Welds the files of one leaf; faces left, vertices welded, faces dropped as duplicates, furthest move.
-    fn weld_leaf(&self, leaf: &Raw, moves: &HashMap<[u64; 3], DVec3>) -> Result<(usize, usize, usize, f64)> {
+    /// Welds the files of one leaf.
+    fn weld_leaf(&self, leaf: &Raw, moves: &HashMap<[u64; 3], DVec3>) -> Result<Welded> {
         let name = format!("source/{}", leaf.cell);
         let mesh = take_mesh(self.store, &name)?;
         let places: Vec<DVec3> = mesh.positions.iter().map(|p| moves.get(&bits(*p)).copied().unwrap_or(*p)).collect();
@@ -619,7 +637,8 @@ impl Joiner<'_> {
         mesh.retain_faces(&keep);
         let duplicate = before - flat - mesh.faces.len();
         put_mesh(self.store, &name, &mesh)?;
-        Ok((mesh.faces.len(), welded, duplicate, moved_m))
+        let unmatched_m = cracks::length_m(&mesh, CRACK_M, |p| self.is_on_wall(leaf.cell, p));
+        Ok(Welded { faces: mesh.faces.len(), vertices: welded, duplicate, unmatched_m, moved_m })
     }
 }
 

@@ -188,3 +188,57 @@ fn tally(
     let accuracy = labels_are_truth.then(|| classes::confusion(&truth, &found, &areas));
     Ok((shares, accuracy))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::demo::{CityConfig, generate};
+    use crate::geo::Georeference;
+    use crate::pipeline::ingest::ingest;
+    use crate::pipeline::{Feed, Job, Resources};
+
+    /// Area that has the same class in windows of `window_faces` as in one window, as a share of all.
+    fn agreement(window_faces: usize) -> f64 {
+        let folder = tempfile::tempdir().unwrap();
+        let sets = ["levels.leaf_faces=4000".to_owned()];
+        let mut config = Config::layered(None, &sets).unwrap();
+        let reporter = Reporter::new(true);
+        let out = folder.path().join("out");
+        let job = Job {
+            out: &out,
+            force: false,
+            config: &config,
+            georeference: Georeference::Local,
+            inputs: Vec::new(),
+            labels_are_truth: false,
+        };
+        let source = generate(&CityConfig::default()).source;
+        let store = Store::open(folder.path().join("work"), "token", false).unwrap();
+        let city = ingest(Feed::Memory(source), &job, &Resources::default(), &store, &reporter).unwrap();
+        let all = |store: &Store| -> Vec<Vec<ClassId>> {
+            city.leaves.iter().map(|l| leaf_labels(store, l.cell).unwrap().0).collect()
+        };
+        label(&city, &config, false, &store, &reporter).unwrap();
+        let uncut = all(&store);
+        store.remove("labels");
+        config.levels.window_faces = window_faces;
+        label(&city, &config, false, &store, &reporter).unwrap();
+        assert!(store.has("labels/window-1.json"), "there is one window only");
+        let (mut same, mut whole) = (0.0, 0.0);
+        for (leaf, (a, b)) in city.leaves.iter().zip(uncut.iter().zip(all(&store))) {
+            let mesh = leaf_mesh(&store, leaf.cell).unwrap();
+            for f in 0..mesh.faces.len() {
+                let area = mesh.cross(f).length();
+                whole += area;
+                same += if a[f] == b[f] { area } else { 0.0 };
+            }
+        }
+        same / whole
+    }
+
+    #[test]
+    fn windows_give_the_classes_of_the_whole() {
+        let same = agreement(70_000);
+        assert!(same >= 0.999, "{same}");
+    }
+}

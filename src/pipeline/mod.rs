@@ -19,6 +19,7 @@ use crate::write::tileset::bytes as tileset_bytes;
 use crate::write::{self, About, ClassError, GENERATOR, Output, TileEntry};
 use crate::{Error, Result};
 
+mod cracks;
 mod hierarchy;
 mod ingest;
 mod labels;
@@ -121,11 +122,18 @@ fn build_in(
     let city = ingest::ingest(feed, job, resources, store, reporter)?;
     let copyright = credits(&city.copyright, &config.write.copyright);
     let labels = labels::label(&city, config, job.labels_are_truth, store, reporter)?;
-    let images = Images::with_budget(city.images.clone(), (resources.memory / 8).min(1 << 30), reporter);
+    // What is said of images must not depend on what is cached or was done by a run before: see below.
+    let silent = Reporter::new(true);
+    let images = Images::with_budget(city.images.clone(), (resources.memory / 8).min(1 << 30), &silent);
+    let mut faults = images.faults();
     let mut hierarchy = Hierarchy::new(&city, job, store, &images, copyright.as_deref(), resources, reporter);
     hierarchy.make(labels.median_edge_m)?;
 
     let nodes = std::mem::take(&mut hierarchy.nodes);
+    nodes.iter().for_each(|n| faults.extend(n.record.faults.clone()));
+    for (image, what) in faults {
+        reporter.warn("unreadable-texture", &images.path(image), what);
+    }
     let root = Tree::new(&city.tree, &nodes, &config.classes, config.write.texel_factor).entry(nodes.len() - 1, 0);
     for (uri, node) in &root.1 {
         output.adopt(&store.path(&content_name(*node)), uri)?;

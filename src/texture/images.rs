@@ -40,6 +40,8 @@ pub struct Images<'r> {
     reporter: &'r Reporter,
     /// Where the first images are decoded and held: see [`Images::view`].
     shared: Option<&'r Images<'r>>,
+    /// Images that cannot be read, and why.
+    faults: Mutex<BTreeMap<u32, String>>,
 }
 
 #[derive(Default)]
@@ -74,6 +76,7 @@ impl<'r> Images<'r> {
             cache: Mutex::new(Cache { budget_bytes, ..Cache::default() }),
             reporter,
             shared: None,
+            faults: Mutex::default(),
         };
         for image in 0..count {
             let size = images.read_size(image).unwrap_or_else(|why| {
@@ -95,6 +98,20 @@ impl<'r> Images<'r> {
         view.decoding.splice(0..0, (0..ours).map(|_| Mutex::default()));
         view.shared = Some(self);
         view
+    }
+
+    /// Images that turned out unreadable so far, and what to say of each.
+    pub fn faults(&self) -> BTreeMap<u32, String> {
+        lock(&self.faults).clone()
+    }
+
+    /// Where an image comes from, for messages.
+    pub fn path(&self, image: u32) -> PathBuf {
+        match self.refs.get(image as usize) {
+            Some(ImageRef::File(path)) => path.clone(),
+            Some(ImageRef::Encoded { name, .. }) => PathBuf::from(name),
+            _ => PathBuf::from("(image in memory)"),
+        }
     }
 
     /// Number of images.
@@ -215,14 +232,12 @@ impl<'r> Images<'r> {
         Ok([width, height])
     }
 
+    /// Warns of an image once, however often it is decoded.
     fn warn(&self, image: usize, why: &str) {
-        let path = match &self.refs[image] {
-            ImageRef::File(path) => path.clone(),
-            ImageRef::Encoded { name, .. } => PathBuf::from(name),
-            ImageRef::Pixels(_) => PathBuf::from("(image in memory)"),
-        };
         let what = format!("cannot be decoded ({why}); its faces are painted grey: replace the image and build again");
-        self.reporter.warn("unreadable-texture", &path, what);
+        if lock(&self.faults).insert(image as u32, what.clone()).is_none() {
+            self.reporter.warn("unreadable-texture", &self.path(image as u32), what);
+        }
     }
 }
 

@@ -133,4 +133,5 @@ fn files_that_almost_meet_are_welded() {
     let joined = run["gate"]["joined"].as_u64().expect("a count");
     assert!((91..150).contains(&joined), "the 91 vertices of the common border, and where walls cut it: {joined}");
     assert_eq!(run["gate"]["faces"], 4 * 90 * 90);
+    assert_eq!(run["gate"]["unmatched_m"], 0.0);
 }

@@ -11,6 +11,8 @@
 //! 4. Blocks lock the vertices they share and are cut elsewhere in every step, so nothing stays locked.
 //! 5. After a step faces take the class and weight that most of the samples riding on them have.
 //!
+//! A surface larger than memory collapses in windows of its cells: see [`window`].
+//!
 //! # Promises
 //! - No sample is further than t·b from the surface of its own group after a step to t, so a tile alone keeps the
 //!   bound, without its neighbours (`samples_stay_within_their_budget`, `a_group_keeps_its_own_surface`).

@@ -30,6 +30,7 @@ use crate::report::Reporter;
 use crate::store::{PageReader, Store};
 use crate::texture::Images;
 use crate::tiles::content::texels_of;
+use crate::tiles::partition::SNAP_M;
 use crate::tiles::soup::bits;
 use crate::tiles::{Census, Quadtree, Soup};
 use crate::{Error, Result};
@@ -260,9 +261,11 @@ impl<'a> Scan<'a> {
         let tree = Quadtree::of(census, 1.0);
         let mut buckets = Buckets::new(self.store, resources.memory / 8);
         let mut snapped_m = 0f64;
+        // A border of one file that lies on a wall is seen by no cell together with another's just beyond it.
+        let near_m = if units.count > 1 { SNAP_M.max(job.config.gate.weld_m) } else { SNAP_M };
         for unit in 0..units.count {
             let mut mesh = units.take(unit)?;
-            snapped_m = snapped_m.max(tree.snap(&mut mesh));
+            snapped_m = snapped_m.max(tree.snap(&mut mesh, near_m));
             let mut first = 0;
             while first < mesh.faces.len() {
                 reporter.check()?;

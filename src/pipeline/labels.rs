@@ -104,8 +104,10 @@ fn label_window(
 ) -> Result<Finished> {
     let most = (config.levels.window_faces as f64 * MOST_WITH_HALO) as u64;
     let halo = windows::halo(&city.tree, &city.leaves, window, HALO_M, most);
-    let own = window.iter().map(|w| w.cell);
-    let (mut mesh, starts) = joined(store, &city.tree, own.chain(halo))?;
+    // In the order of the whole: where planes compete for a face, the order of faces decides.
+    let mut cells: Vec<u32> = window.iter().map(|w| w.cell).chain(halo).collect();
+    cells.sort_unstable();
+    let (mut mesh, starts) = joined(store, &city.tree, &cells)?;
     align(&mut mesh, city.floor_m);
     reporter.check()?;
     let planes = planes::grow(&mesh, &config.planes);
@@ -116,7 +118,8 @@ fn label_window(
         let sum = classes.of(f).iter().zip(&budgets).map(|(p, b)| f64::from(*p) / (b * b)).sum::<f64>();
         sum as f32
     };
-    for (i, w) in window.iter().enumerate() {
+    for w in window {
+        let i = cells.binary_search(&w.cell).unwrap_or_else(|_| unreachable!("a window holds its own cells"));
         let range = starts[i]..starts[i + 1];
         let labels: Vec<u8> = classes.label[range.clone()].iter().map(|l| l.0).collect();
         let mut page = store.page(&format!("labels/{}", w.cell))?;
@@ -124,15 +127,16 @@ fn label_window(
         page.put(&range.map(weight).collect::<Vec<f32>>())?;
         page.finish()?;
     }
-    Ok(Finished { regions: planes.regions.len(), faces: starts[window.len()], median_edge_m: planes.median_edge_m })
+    let faces = window.iter().map(|w| w.weight as usize).sum();
+    Ok(Finished { regions: planes.regions.len(), faces, median_edge_m: planes.median_edge_m })
 }
 
 /// The surface of several leaves as one mesh, geometry only, and where the faces of each begin.
-fn joined(store: &Store, tree: &Quadtree, cells: impl Iterator<Item = u32>) -> Result<(Mesh, Vec<usize>)> {
+fn joined(store: &Store, tree: &Quadtree, cells: &[u32]) -> Result<(Mesh, Vec<usize>)> {
     let mut all = Mesh::default();
     let mut ids: std::collections::HashMap<[u64; 3], u32> = Default::default();
     let mut starts = vec![0];
-    for cell in cells {
+    for &cell in cells {
         let mesh = leaf_mesh(store, cell)?;
         let plan = &tree.0[cell as usize].plan;
         // Only vertices on a leaf's rim can stand in two leaves.
@@ -238,7 +242,8 @@ mod tests {
 
     #[test]
     fn windows_give_the_classes_of_the_whole() {
-        let same = agreement(70_000);
+        let same = agreement(40_000);
+        println!("{:.3} % of the area has the class it has in an uncut run", 100.0 * same);
         assert!(same >= 0.999, "{same}");
     }
 }

@@ -5,7 +5,8 @@
 //!
 //! # Method
 //! 1. Cells are split by the weight of the face centres in them until a leaf holds at most the weight allowed.
-//! 2. Vertices within [`SNAP_M`] of a wall of their cell move onto it, so that no cut leaves a sliver.
+//! 2. Vertices within [`SNAP_M`] of a wall of their cell move onto it, so that no cut leaves a sliver; of several files
+//!    those within the weld tolerance, so that files that meet near a wall meet on it.
 //! 3. A face is clipped down the tree, x before y; a cut on an edge depends on the edge and the tree alone, so both faces
 //!    of an edge get the same vertex. Edges that lie on a wall are cut where the cells of the other side cut them.
 //! 4. The pieces, convex, are triangulated; texture coordinates follow by barycentric interpolation (affine, so exact).
@@ -14,7 +15,7 @@
 //!
 //! # Promises
 //! Area and topology stay (`the_cut_surface_is_the_same_surface`); no T-junctions (`every_inner_edge_has_two_faces`).
-//! No vertex of the source moves by more than [`SNAP_M`].
+//! No vertex of the source moves by more than is asked for.
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -181,11 +182,11 @@ impl Quadtree {
         }
     }
 
-    /// Moves the vertices of a mesh that are almost on a wall onto it; returns how far at most, metres.
-    pub fn snap(&self, mesh: &mut Mesh) -> f64 {
+    /// Moves the vertices of a mesh that are within `near_m` of a wall onto it; returns how far at most, metres.
+    pub fn snap(&self, mesh: &mut Mesh, near_m: f64) -> f64 {
         let tree = Tree(&self.0);
         let moved = |p: &mut DVec3| {
-            let at = tree.snapped(*p);
+            let at = tree.snapped(*p, near_m);
             let by = (at - *p).length();
             *p = at;
             by
@@ -245,13 +246,13 @@ impl Tree<'_> {
         self.0[cell as usize].plan.center()
     }
 
-    /// `p`, on each wall of its cells that it is within `SNAP_M` of.
-    fn snapped(&self, mut p: DVec3) -> DVec3 {
+    /// `p`, on each wall of its cells that it is within `near_m` of.
+    fn snapped(&self, mut p: DVec3, near_m: f64) -> DVec3 {
         let mut at = 0;
         while let Some(children) = self.0[at as usize].children {
             let middle = self.middle(at);
             for k in 0..2 {
-                if (p[k] - middle[k]).abs() <= SNAP_M {
+                if (p[k] - middle[k]).abs() <= near_m {
                     p[k] = middle[k];
                 }
             }
@@ -457,7 +458,7 @@ mod tests {
         let mut census = Census::over(bounds);
         census.count(&mesh, |_| 1.0);
         let tree = Quadtree::of(census, 40.0);
-        tree.snap(&mut mesh);
+        tree.snap(&mut mesh, SNAP_M);
         let (mut all, mut leaf) = (Soup::default(), Vec::new());
         for (cell, soup) in tree.cut(&mesh, 0..mesh.faces.len()) {
             leaf.extend(vec![cell; soup.len()]);

@@ -20,11 +20,12 @@ const SETS: [&str; 8] = [
     "levels.reference_faces=9000",
 ];
 
-/// Two files whose border agrees to within the tolerance.
-fn input(folder: &Path) -> PathBuf {
+/// Files whose borders agree to within the tolerance: hills, and the same mirrored beside them, and, if `more`, once more
+/// beside those.
+fn input(folder: &Path, more: bool) -> PathBuf {
     let hills = shapes::hills(&folder.join("in/a"), 90);
     let text = std::fs::read_to_string(&hills).expect("a file");
-    let shifted: String = text
+    let mirrored: String = text
         .lines()
         .map(|line| match line.strip_prefix("v ").and_then(|rest| rest.split_once(' ')) {
             Some((x, rest)) => format!("v {} {rest}\n", 90.0 * 2.0 - x.parse::<f64>().expect("a number") + 0.0004),
@@ -36,7 +37,15 @@ fn input(folder: &Path) -> PathBuf {
         })
         .collect();
     std::fs::create_dir_all(folder.join("in/b")).expect("a folder");
-    std::fs::write(folder.join("in/b/hills.obj"), shifted).expect("a file");
+    std::fs::write(folder.join("in/b/hills.obj"), mirrored).expect("a file");
+    if more {
+        let beside = |line: &str| match line.strip_prefix("v ").and_then(|rest| rest.split_once(' ')) {
+            Some((x, rest)) => format!("v {} {rest}\n", x.parse::<f64>().expect("a number") + 180.0008),
+            None => format!("{line}\n"),
+        };
+        std::fs::create_dir_all(folder.join("in/c")).expect("a folder");
+        std::fs::write(folder.join("in/c/hills.obj"), text.lines().map(beside).collect::<String>()).expect("a file");
+    }
     folder.join("in")
 }
 
@@ -71,7 +80,7 @@ fn whole(input: &Path, out: &Path, more: &[&str]) -> BTreeMap<PathBuf, Option<Ve
 #[test]
 fn a_build_killed_again_and_again_ends_with_the_same_bytes() {
     let temp = tempfile::tempdir().expect("a folder");
-    let input = input(temp.path());
+    let input = input(temp.path(), false);
     let wanted = whole(&input, &temp.path().join("whole"), &[]);
     assert!(wanted.len() > 20, "{:?}", wanted.keys());
     let out = temp.path().join("out");
@@ -103,7 +112,7 @@ fn a_build_killed_again_and_again_ends_with_the_same_bytes() {
 #[test]
 fn work_of_other_inputs_or_settings_is_not_taken_over() {
     let temp = tempfile::tempdir().expect("a folder");
-    let input = input(temp.path());
+    let input = input(temp.path(), false);
     let out = temp.path().join("out");
     assert!(killed_at(&input, &out, "step/0.json"));
     let hills = shapes::hills(&temp.path().join("other"), 60);
@@ -115,11 +124,11 @@ fn work_of_other_inputs_or_settings_is_not_taken_over() {
 #[test]
 fn neither_memory_nor_threads_show_in_the_bytes() {
     let temp = tempfile::tempdir().expect("a folder");
-    let input = input(temp.path());
-    let one = whole(&input, &temp.path().join("one"), &["--threads", "1", "--memory", "500MB"]);
+    let input = input(temp.path(), false);
+    let one = whole(&input, &temp.path().join("one"), &["--threads", "1", "--memory", "1GB"]);
     let two = whole(&input, &temp.path().join("two"), &["--threads", "3", "--memory", "8GiB"]);
     assert!(one == two);
-    for (bad, word) in [("12MB", "500MB"), ("lots", "2GB")] {
+    for (bad, word) in [("12MB", "1GB"), ("lots", "2GB")] {
         let run = build(&input, &temp.path().join("three"), &["--memory", bad]).wants(2);
         assert!(run.stderr.contains(word), "{}", run.stderr);
     }
@@ -128,10 +137,35 @@ fn neither_memory_nor_threads_show_in_the_bytes() {
 #[test]
 fn files_that_almost_meet_are_welded() {
     let temp = tempfile::tempdir().expect("a folder");
-    let input = input(temp.path());
+    let input = input(temp.path(), true);
     let run = build(&input, &temp.path().join("out"), &[&SETS[..], &["--json"]].concat()).wants(0).json();
     let joined = run["gate"]["joined"].as_u64().expect("a count");
-    assert!((91..150).contains(&joined), "the 91 vertices of the common border, and where walls cut it: {joined}");
-    assert_eq!(run["gate"]["faces"], 4 * 90 * 90);
+    assert!((182..300).contains(&joined), "2 × 91 vertices of common borders, and where walls cut them: {joined}");
+    assert_eq!(run["gate"]["faces"], 6 * 90 * 90);
     assert_eq!(run["gate"]["unmatched_m"], 0.0);
+    // A gap that no weld closes.
+    let cracked =
+        build(&input, &temp.path().join("cracked"), &[&SETS[..], &["--json", "--set", "gate.weld_m=0.0001"]].concat());
+    let cracked = cracked.wants(0).json();
+    let unmatched_m = cracked["gate"]["unmatched_m"].as_f64().expect("a length");
+    assert!((300.0..500.0).contains(&unmatched_m), "both sides of two borders of 90 m and their hills: {unmatched_m}");
+    assert_eq!(cracked["warnings"][0]["code"], "cracks-between-files");
+}
+
+#[cfg(unix)]
+#[test]
+fn a_full_disk_ends_in_6_and_the_work_is_kept() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let input = input(temp.path(), false);
+    let wanted = whole(&input, &temp.path().join("whole"), &[]);
+    let out = temp.path().join("out");
+    // No file may be larger than 350 kB: what the system answers then differs from a full disk in its number only.
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", "trap '' XFSZ; ulimit -f 700; exec \"$0\" \"$@\"", crate::common::ROOFTILE, "build"]);
+    let run = shell.arg(&input).arg("-o").arg(&out).args(SETS).arg("-q").output().expect("a shell");
+    let said = String::from_utf8_lossy(&run.stderr);
+    assert_eq!(run.status.code(), Some(6), "{said}");
+    assert!(said.contains("cannot write"), "{said}");
+    assert_eq!(names(temp.path()), [".out.work", "in", "whole"]);
+    assert!(whole(&input, &out, &["--resume"]) == wanted);
 }

@@ -401,12 +401,13 @@ impl<'a> Window<'a> {
         // The faces of a cell lie together, as they were put there.
         for of_cell in cell.chunk_by(|a, b| a == b) {
             let patch = &mut patches[of_cell[0] as usize];
-            for f in first..first + of_cell.len() {
+            for (i, new_face) in new_face[first..first + of_cell.len()].iter_mut().enumerate() {
+                let f = first + i;
                 let face = surface.faces[f];
                 if face[0] == NONE {
                     continue;
                 }
-                new_face[f] = patch.faces.len() as u32;
+                *new_face = patch.faces.len() as u32;
                 patch.labels.push(surface.labels[f]);
                 patch.omega.push(surface.omega[f]);
                 patch.faces.push(face.map(|v| {

@@ -22,7 +22,10 @@ const FORBIDDEN: [(&[&str], &[&str], &str); 9] = [
     ),
     (
         &["store"],
-        &["geo", "ids", "input", "mesh", "planes", "classes", "collapse", "tiles", "texture", "write", "pipeline", "cli"],
+        &[
+            "geo", "ids", "input", "mesh", "planes", "classes", "collapse", "tiles", "texture", "write", "pipeline",
+            "cli",
+        ],
         "the store keeps arrays, whatever they mean",
     ),
     (

@@ -64,7 +64,7 @@ pub(super) fn label(
     reporter: &Reporter,
 ) -> Result<Labels> {
     let cells = city.leaves.iter().map(|l| Weighed { cell: l.cell, weight: l.faces as u64 }).collect();
-    let windows = windows::split(&city.tree, cells, config.levels.window_faces as u64, 0.5);
+    let windows = windows::split(&city.tree, cells, config.levels.window_faces as u64, false);
     let stage = reporter.stage("classes", windows.len() as u64);
     let mut all: Vec<Finished> = Vec::new();
     for (w, window) in windows.iter().enumerate() {

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::ingest::{City, leaf_mesh};
 use super::labels::leaf_labels;
 use super::windows::{self, Weighed};
-use crate::collapse::window::{Patch, Sample, StepSettings, cut_share, step};
+use crate::collapse::window::{Patch, Sample, StepSettings, step};
 use crate::config::Config;
 use crate::geo::Rect;
 use crate::ids::ClassId;
@@ -87,20 +87,44 @@ impl<'a> Steps<'a> {
             below.entry(tree.ancestor(cell, depth)).or_default().push(cell);
         }
         self.advance(|steps, page| {
-            let merged: Result<Vec<(u32, State)>> = below
-                .par_iter()
-                .map(|(&cell, parts)| {
-                    if *parts == [cell] {
-                        return Ok((cell, steps.state[&cell].clone()));
-                    }
-                    steps.once(page, cell, || {
-                        let patches: Result<Vec<Patch>> = parts.iter().map(|&c| steps.patch(c)).collect();
-                        Ok(Patch::joined(patches?).thinned(scale))
+            let mut merged = BTreeMap::new();
+            for batch in steps.batches(&below) {
+                let made: Result<Vec<(u32, State)>> = batch
+                    .par_iter()
+                    .map(|&(cell, parts)| {
+                        if *parts == [cell] {
+                            return Ok((cell, steps.state[&cell].clone()));
+                        }
+                        steps.once(page, cell, || {
+                            let patches: Result<Vec<Patch>> = parts.iter().map(|&c| steps.patch(c)).collect();
+                            Ok(Patch::joined(patches?).thinned(scale))
+                        })
                     })
-                })
-                .collect();
-            Ok((merged?.into_iter().collect(), 0))
+                    .collect();
+                merged.extend(made?);
+            }
+            Ok((merged, 0))
         })
+    }
+
+    /// Cells to merge at a time: as many as are a window together, so that many threads take no more memory than few.
+    fn batches<'b>(&self, below: &'b BTreeMap<u32, Vec<u32>>) -> Vec<Vec<(u32, &'b Vec<u32>)>> {
+        let most = ITEMS_PER_FACE * self.config.levels.window_faces as u64;
+        let weight = |parts: &[u32]| -> u64 { parts.iter().map(|c| self.state[c].faces + self.state[c].samples).sum() };
+        let mut batches: Vec<Vec<(u32, &Vec<u32>)>> = Vec::new();
+        let mut left = 0;
+        for (&cell, parts) in below {
+            let own = weight(parts);
+            match batches.last_mut() {
+                Some(batch) if own <= left => batch.push((cell, parts)),
+                _ => {
+                    batches.push(vec![(cell, parts)]);
+                    left = most;
+                }
+            }
+            left = left.saturating_sub(own);
+        }
+        batches
     }
 
     /// Collapses all that `scale` admits.
@@ -115,7 +139,7 @@ impl<'a> Steps<'a> {
         self.steps += 1;
         let most = ITEMS_PER_FACE * self.config.levels.window_faces as u64;
         let cells = self.state.iter().map(|(&cell, s)| Weighed { cell, weight: s.faces + s.samples }).collect();
-        let windows = windows::split(&self.city.tree, cells, most, cut_share(settings.odd));
+        let windows = windows::split(&self.city.tree, cells, most, settings.odd);
         self.advance(|steps, page| {
             let (mut state, mut collapses) = (BTreeMap::new(), 0);
             for window in &windows {

@@ -7,7 +7,11 @@ use std::cmp::Reverse;
 use glam::DVec2;
 
 use super::ingest::{Leaf, gap};
+use crate::collapse::window::cut_share;
 use crate::tiles::Quadtree;
+
+/// Odd windows are cut along y up to this ratio of the sides.
+const ODD_PREFERENCE: f64 = 1.5;
 
 /// A cell with what it weighs.
 #[derive(Debug, Clone, Copy)]
@@ -17,8 +21,8 @@ pub(super) struct Weighed {
 }
 
 /// Windows of at most `most` weight, or of one cell; every cell is in one. A k-d tree over the cells' centres, cut at
-/// `share` of the weight.
-pub(super) fn split(tree: &Quadtree, cells: Vec<Weighed>, most: u64, share: f64) -> Vec<Vec<Weighed>> {
+/// another share of the weight if `odd`, and there rather along y: so that even of four cells no wall is always cut.
+pub(super) fn split(tree: &Quadtree, cells: Vec<Weighed>, most: u64, odd: bool) -> Vec<Vec<Weighed>> {
     let total: u64 = cells.iter().map(|c| c.weight).sum();
     if cells.is_empty() {
         return Vec::new();
@@ -31,7 +35,8 @@ pub(super) fn split(tree: &Quadtree, cells: Vec<Weighed>, most: u64, share: f64)
     let at = |c: &Weighed| tree.0[c.cell as usize].plan.center();
     let low = cells.iter().map(at).fold(DVec2::INFINITY, DVec2::min);
     let high = cells.iter().map(at).fold(DVec2::NEG_INFINITY, DVec2::max);
-    let axis = usize::from(high.y - low.y > high.x - low.x);
+    let axis = usize::from((high.y - low.y) * if odd { ODD_PREFERENCE } else { 1.0 } > high.x - low.x);
+    let share = cut_share(odd);
     let mut cells = cells;
     cells.sort_by(|a, b| at(a)[axis].total_cmp(&at(b)[axis]).then(a.cell.cmp(&b.cell)));
     let (mut sum, mut middle) = (0, 1);
@@ -43,8 +48,8 @@ pub(super) fn split(tree: &Quadtree, cells: Vec<Weighed>, most: u64, share: f64)
         }
     }
     let upper = cells.split_off(middle);
-    let mut windows = split(tree, cells, most, share);
-    windows.extend(split(tree, upper, most, share));
+    let mut windows = split(tree, cells, most, odd);
+    windows.extend(split(tree, upper, most, odd));
     windows
 }
 
@@ -70,4 +75,41 @@ pub(super) fn halo(tree: &Quadtree, leaves: &[Leaf], window: &[Weighed], reach_m
         taken.push(cell);
     }
     taken
+}
+
+#[cfg(test)]
+mod tests {
+    use glam::DVec3;
+
+    use super::*;
+    use crate::geo::Rect;
+    use crate::mesh::Mesh;
+    use crate::tiles::Census;
+
+    /// A square of four leaves.
+    fn four() -> Quadtree {
+        let mut census = Census::over(Rect { min: DVec2::ZERO, max: DVec2::splat(64.0) });
+        let at = |x: f64, y: f64| DVec3::new(x, y, 0.0);
+        let mut mesh = Mesh::default();
+        for (x, y) in [(8.0, 8.0), (40.0, 8.0), (8.0, 40.0), (40.0, 40.0)] {
+            let first = mesh.positions.len() as u32;
+            mesh.positions.extend([at(x, y), at(x + 1.0, y), at(x, y + 1.0)]);
+            mesh.faces.push([first, first + 1, first + 2]);
+        }
+        census.count(&mesh, |_| 1.0);
+        Quadtree::of(census, 1.0)
+    }
+
+    #[test]
+    fn of_four_cells_every_wall_is_inside_a_window_in_one_of_two_steps() {
+        let tree = four();
+        let cells = || (1..5).map(|cell| Weighed { cell, weight: 10 }).collect();
+        let windows = |odd| -> Vec<Vec<u32>> {
+            split(&tree, cells(), 20, odd).iter().map(|w| w.iter().map(|c| c.cell).collect()).collect()
+        };
+        assert_eq!(windows(false), [[1, 3], [2, 4]]);
+        assert_eq!(windows(true), [[1, 2], [3, 4]]);
+        assert_eq!(split(&tree, cells(), 40, false).len(), 1);
+        assert_eq!(split(&tree, cells(), 5, false).len(), 4, "a cell is never split");
+    }
 }

@@ -7,7 +7,12 @@
 //! halo's labels are thrown away. The ground grid starts at a whole metre, so that windows see the same cells.
 //!
 //! # Promises
-//! The labels are those of an uncut run for all but a thousandth of the area, where the halo reaches far enough.
+//! Where the halo reaches far enough the labels are those of an uncut run (`windows_give_the_classes_of_the_whole`).
+//!
+//! # Limits
+//! Hills, long roofs and filled ground reach further than any halo: of 3.0 million faces on 600 m × 400 m, cut in two or
+//! in four windows with 64 m around them, 0.5 % of the area differed from an uncut run, nearly all of it in the tenth of
+//! the leaves that lie along the cuts.
 
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
@@ -27,9 +32,10 @@ use crate::tiles::soup::bits;
 use crate::{Error, Result};
 
 /// A window and its halo have at most this many times the faces a window may have.
-const MOST_WITH_HALO: f64 = 1.75;
-/// How far the halo reaches, metres: the widest building that the ground runs under is 62 m.
-const HALO_M: f64 = 64.0;
+const MOST_WITH_HALO: f64 = 2.5;
+/// How far the halo reaches, metres: the widest building that the ground runs under is 62 m, and the ground is found
+/// twice, the second time by the slope of the first.
+const HALO_M: f64 = 128.0;
 
 /// What is known of the classes of the whole.
 pub(super) struct Labels {

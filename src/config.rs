@@ -5,7 +5,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::classes::ClassesConfig;
+use crate::classes::{ClassesConfig, scheme};
 use crate::collapse::CollapseConfig;
 use crate::ids::ClassScheme;
 use crate::mesh::GateConfig;
@@ -131,16 +131,14 @@ impl Config {
 
     fn check_classes(&self, faults: &mut Vec<String>) {
         let scheme = &self.classes;
-        for wanted in ["terrain", "facade", "roof", "clutter"].iter().enumerate() {
-            if scheme.0.get(wanted.0).is_none_or(|c| c.name != *wanted.1) {
-                faults.push(format!(
-                    "class {} must be {:?}: the classifier's rules speak of the four of the paper",
-                    wanted.0, wanted.1
-                ));
-            }
+        if !(1..=MOST_CLASSES).contains(&scheme.len()) {
+            faults.push(format!("{} classes, wanted 1 to {MOST_CLASSES}", scheme.len()));
         }
-        if scheme.len() > MOST_CLASSES {
-            faults.push(format!("{} classes, at most {MOST_CLASSES}", scheme.len()));
+        let table = self.classify.table();
+        let also = table.map_or(&[][..], |table| &table.classes);
+        faults.extend(scheme::faults(scheme, also));
+        if let Some(table) = table {
+            faults.extend(table.faults(|name| scheme.id(name).is_some() || scheme::BASE.contains(&name)));
         }
         for class in &scheme.0 {
             if !(1e-4..=1e3).contains(&class.budget_m) {
@@ -206,6 +204,53 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), config.to_toml().unwrap()).unwrap();
         assert_eq!(Config::layered(Some(file.path()), &[]).unwrap(), config);
+    }
+
+    const SPLIT: &str = r#"
+[[classes]]
+name = "terrain"
+budget_m = 0.1
+color = [166, 124, 82]
+[[classes]]
+name = "building"
+of = ["facade", "roof"]
+budget_m = 0.05
+color = [58, 104, 190]
+[[classes]]
+name = "vegetation"
+of = ["clutter"]
+when = [{ feature = "greenness", above = 10.0, width = 5.0 }]
+budget_m = 0.2
+color = [86, 158, 74]
+[[classes]]
+name = "clutter"
+budget_m = 0.1
+color = [120, 120, 120]
+"#;
+
+    #[test]
+    fn a_scheme_of_its_own_is_read_checked_and_dumped() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), SPLIT).unwrap();
+        let config = Config::layered(Some(file.path()), &[]).unwrap();
+        assert_eq!((config.classes.len(), config.classes.0[2].when.len()), (4, 1));
+        std::fs::write(file.path(), config.to_toml().unwrap()).unwrap();
+        assert_eq!(Config::layered(Some(file.path()), &[]).unwrap(), config);
+        std::fs::write(file.path(), SPLIT.replace("[\"clutter\"]", "[\"cluter\"]")).unwrap();
+        let message = Config::layered(Some(file.path()), &[]).unwrap_err().to_string();
+        assert!(message.contains("cluter"), "{message}");
+    }
+
+    #[test]
+    fn a_table_of_its_own_is_read_checked_and_dumped() {
+        let table = crate::classes::paper::Table::embedded("cgal").unwrap();
+        let mut config = set(&["classify.classifier=cgal"]).unwrap();
+        config.classify.table = Some(table.clone());
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), config.to_toml().unwrap()).unwrap();
+        assert_eq!(Config::layered(Some(file.path()), &[]).unwrap(), config);
+        config.classify.table.as_mut().unwrap().rows[0].effects = "F F".into();
+        assert!(config.check().unwrap_err().to_string().contains("\"F F\""));
     }
 
     #[test]

@@ -24,6 +24,7 @@ mod chart;
 mod encode;
 mod images;
 mod mask;
+mod mean;
 mod pack;
 mod raster;
 mod repack;
@@ -32,6 +33,7 @@ mod sample;
 pub use bake::{BakeSource, bake};
 pub use encode::encode_jpeg;
 pub use images::Images;
+pub use mean::mean_colors;
 pub use repack::repack;
 
 /// Painted where nothing is known: mid grey, sRGB.

@@ -46,8 +46,12 @@ const MEANINGS: [(&[&str], &[&str]); 9] = [
 /// What a name (of a label, a material, a CityGML surface) means in a scheme; 0 for a name that means nothing here.
 pub fn mask_of_name(scheme: &ClassScheme, name: &str) -> Mask {
     let name = name.trim().to_lowercase();
+    // What is split off a base class is part of it: `clutter` means its vegetation, too, unless a label says so.
     if let Some(id) = scheme.id(&name) {
-        return 1 << id.0;
+        return if BASE.contains(&name.as_str()) { mask_of_base(scheme, &name) } else { 1 << id.0 };
+    }
+    if BASE.contains(&name.as_str()) {
+        return mask_of_base(scheme, &name);
     }
     // "high vegetation", "Low_Vegetation", "roof-surface" are one word each.
     let word: String = name.chars().filter(|c| c.is_alphanumeric()).collect();
@@ -59,6 +63,17 @@ pub fn mask_of_name(scheme: &ClassScheme, name: &str) -> Mask {
         return 1 << id.0;
     }
     means.iter().map(|m| mask_of_base(scheme, m)).fold(0, |a, b| a | b)
+}
+
+/// The same where the other names that occur are known: `clutter` beside `vegetation` is clutter that is no vegetation.
+pub fn mask_among(scheme: &ClassScheme, name: &str, names: &[&str]) -> Mask {
+    let mask = mask_of_name(scheme, name);
+    let is_named = |c: usize| names.iter().any(|n| n.trim().to_lowercase() == scheme.0[c].name);
+    let all_named = (0..scheme.len()).all(|c| (mask >> c) & 1 == 0 || is_named(c));
+    match scheme.id(&name.trim().to_lowercase()) {
+        Some(id) if all_named => 1 << id.0,
+        _ => mask,
+    }
 }
 
 /// All classes that are a base class or part of it.
@@ -194,7 +209,9 @@ mod tests {
         let of = vec!["clutter".to_owned()];
         scheme.0.push(ClassSpec { of, ..ClassSpec::new("vegetation", 0.2, [0; 3]) });
         assert_eq!(mask_of_name(&scheme, "high vegetation"), 16);
-        assert_eq!(mask_of_name(&scheme, "clutter"), 8);
+        assert_eq!(mask_of_name(&scheme, "clutter"), 24, "all of it");
+        assert_eq!(mask_among(&scheme, "clutter", &["clutter", "vegetation"]), 8, "what is not vegetation");
+        assert_eq!(mask_among(&scheme, "clutter", &["clutter", "roof"]), 24);
         assert_eq!(mask_of_name(&scheme, "car"), 24, "a car is clutter, whichever");
     }
 

@@ -34,6 +34,10 @@ pub struct Args {
     /// Height of the input's zero above the ellipsoid (geoid undulation), metres.
     #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
     height_offset: Option<f64>,
+    /// Let given labels override the classifier: a labelled mesh at the same place, or `input` for the labels or the
+    /// telling material names of the input itself.
+    #[arg(long, value_name = "FILE|input")]
+    labels_from: Option<String>,
     /// Follow paths in the input that lead out of its folder.
     #[arg(long)]
     allow_outside: bool,
@@ -103,10 +107,13 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         None => georeference_found(&found, args)?,
     };
     let inputs = digests(&found.files)?;
+    let labels = args.labels_from.as_ref();
+    let labels =
+        labels.map(|from| super::label::label_source(from, &found, args.allow_outside, reporter)).transpose()?;
     let triangles: usize = source.parts.iter().map(|p| p.faces.len()).sum();
     stage.finish(format!("{} files, {triangles} triangles, {} images", found.files.len(), source.images.len()));
 
-    let job = Job { out, force: args.force, config: &config, georeference, inputs, labels_are_truth: false };
+    let job = Job { out, force: args.force, config: &config, georeference, inputs, labels_are_truth: false, labels };
     let report = pipeline::build(source, &job, reporter)?;
     reporter.say(&report.to_string());
     if json {

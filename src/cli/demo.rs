@@ -51,7 +51,7 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
 
     let georeference = Georeference::parse(PLACE)?;
     let job =
-        Job { out: &args.out, force: true, config: &config, georeference, inputs: Vec::new(), labels_are_truth: true };
+        Job { out: &args.out, force: true, config: &config, georeference, inputs: Vec::new(), labels_are_truth: true, labels: None };
     let report = pipeline::build(city.source, &job, reporter)?;
     let findings = inspect::check(&args.out)?;
     reporter.say(&report.to_string());

@@ -6,6 +6,7 @@
 mod build;
 mod demo;
 mod inspect;
+mod label;
 mod serve;
 
 use std::io::Write;
@@ -46,6 +47,8 @@ enum Verb {
     Demo(demo::Args),
     /// Turn OBJ, glTF or PLY into a 3D Tiles 1.1 tileset.
     Build(Box<build::Args>),
+    /// Say which faces are terrain, facade, roof or clutter, and why; compare with labels, draw figures, tune.
+    Label(Box<label::Args>),
     /// Serve a tileset and a page that shows it in CesiumJS.
     Serve(serve::Args),
     /// Say in numbers what is in an input or a tileset, and what is wrong with a tileset.
@@ -93,6 +96,7 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
     match cli.verb {
         Verb::Demo(args) => demo::run(&args, json, &reporter),
         Verb::Build(args) => build::run(&args, json, &reporter),
+        Verb::Label(args) => label::run(&args, json, &reporter),
         Verb::Serve(args) => serve::run(&args, &reporter),
         Verb::Inspect(args) => inspect::run(&args, json, &reporter),
     }

@@ -10,7 +10,7 @@ use serde_json::json;
 use crate::classes::{self, Classes, Confusion};
 use crate::config::Config;
 use crate::geo::{Aabb, Frame, FrameSummary, Georeference};
-use crate::ids::{ClassId, ClassScheme};
+use crate::ids::ClassScheme;
 use crate::input::Source;
 use crate::mesh::{self, GateReport, Mesh};
 use crate::planes;
@@ -23,8 +23,13 @@ use crate::write::tileset::bytes as tileset_bytes;
 use crate::write::{self, About, ClassError, GENERATOR, GlbOptions, Output, TileEntry};
 use crate::{Error, Result};
 
+pub mod figures;
+pub mod front;
+pub mod labels;
 pub mod report;
 
+pub use front::Front;
+pub use labels::LabelSource;
 pub use report::BuildReport;
 use report::{ClassShare, LevelRow, level_rows, shares};
 
@@ -42,6 +47,8 @@ pub struct Job<'a> {
     pub inputs: Vec<InputDigest>,
     /// The source's face labels are class ids and true: report how well the classes agree.
     pub labels_are_truth: bool,
+    /// Labels that override the classifier.
+    pub labels: Option<LabelSource>,
 }
 
 /// An input file as it was read.
@@ -70,7 +77,7 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
     let (mesh, gate) = weld(source, config, reporter)?;
     let mut images = Images::new(images, reporter);
     images.cover(&Surface::from(&mesh));
-    let (classes, median_edge_m, shares) = classify(&mesh, config, reporter)?;
+    let (classes, median_edge_m, shares) = classify(&mesh, &images, &frame, job, reporter)?;
     let accuracy = job.labels_are_truth.then(|| agreement(&mesh, &classes));
     let (partition, classes) = cut(mesh, classes, &images, config, reporter)?;
     let tree = simplify(&partition, &classes, median_edge_m, config, reporter)?;
@@ -162,26 +169,47 @@ fn weld(source: Source, config: &Config, reporter: &Reporter) -> Result<(Mesh, G
     Ok((mesh, gate))
 }
 
-fn classify(mesh: &Mesh, config: &Config, reporter: &Reporter) -> Result<(Classes, f64, Vec<ClassShare>)> {
+fn classify(
+    mesh: &Mesh,
+    images: &Images,
+    frame: &Frame,
+    job: &Job,
+    reporter: &Reporter,
+) -> Result<(Classes, f64, Vec<ClassShare>)> {
+    let config = job.config;
     let stage = reporter.stage("planes", 0);
     let planes = planes::grow(mesh, &config.planes);
     stage.finish(format!("{} regions, median edge {:.3} m", planes.regions.len(), planes.median_edge_m));
     reporter.check()?;
     let stage = reporter.stage("classes", 0);
-    let classes = classes::label(mesh, &planes, &config.classes, &config.classify);
+    front::warn(config, reporter);
+    let face_colors = front::colors(mesh, images, config);
+    let scene = classes::Scene { mesh, planes: &planes, face_colors: &face_colors };
+    let mut classes = classes::classify(scene, &config.classes, &config.classify);
+    if let Some(from) = &job.labels {
+        let given = labels::masks(from, mesh, planes.median_edge_m, frame, &config.classes)?;
+        classes = classes::truth::overridden(classes, &given);
+    }
     let shares = shares(mesh, &classes);
-    let total: f64 = shares.iter().map(|s| s.area_m2).sum();
-    let parts = shares.iter().map(|s| format!("{} {:.0} %", s.class, 100.0 * s.area_m2 / total));
-    stage.finish(parts.collect::<Vec<_>>().join(", "));
+    stage.finish(share_line(&shares));
     reporter.check()?;
     Ok((classes, planes.median_edge_m, shares))
 }
 
-/// Classes against the labels of the source, weighted by area.
+/// Shares of the area, for people.
+fn share_line(shares: &[ClassShare]) -> String {
+    let total: f64 = shares.iter().map(|s| s.area_m2).sum();
+    let parts = shares.iter().map(|s| format!("{} {:.0} %", s.class, 100.0 * s.area_m2 / total));
+    parts.collect::<Vec<_>>().join(", ")
+}
+
+/// Classes against the labels of the source, base classes by number, weighted by area.
 fn agreement(mesh: &Mesh, classes: &Classes) -> Confusion {
-    let truth: Vec<ClassId> = mesh.face_labels.iter().map(|&l| ClassId(l.max(0) as u8)).collect();
+    let base = classes::scheme::BASE.map(|name| classes::truth::mask_of_name(&classes.scheme, name));
+    let truth: Vec<u32> =
+        mesh.face_labels.iter().map(|&l| usize::try_from(l).ok().and_then(|l| base.get(l)).copied().unwrap_or(0)).collect();
     let areas: Vec<f64> = (0..mesh.faces.len()).map(|f| mesh.cross(f).length() * 0.5).collect();
-    classes::confusion(&truth, &classes.label, &areas)
+    classes::truth::agreement(classes, &truth, &areas).by_area
 }
 
 fn cut(

@@ -15,7 +15,9 @@ impl Range {
     /// The range of finite `values` (for `log`: of those above 0), widened to round ticks. Without any it is 0 to 1
     /// (for `log` 1 to 10).
     pub fn over(values: impl IntoIterator<Item = f64>, log: bool) -> Self {
-        let values = values.into_iter().filter(|v| v.is_finite() && (!log || *v > 0.0));
+        // Beyond these a span or a step is no longer a number.
+        const LIMIT: f64 = 1e300;
+        let values = values.into_iter().filter(|v| v.abs() <= LIMIT && (!log || *v >= 1.0 / LIMIT));
         let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
         if low > high {
             return if log { Self { low: 1.0, high: 10.0, log } } else { Self { low: 0.0, high: 1.0, log } };
@@ -24,9 +26,10 @@ impl Range {
     }
 
     fn linear(low: f64, high: f64) -> Self {
-        let (low, high) = if high > low { (low, high) } else { (low - 0.5 * low.abs().max(1.0), high + 0.5 * high.abs().max(1.0)) };
+        let (low, high) =
+            if high > low { (low, high) } else { (low - 0.5 * low.abs().max(1.0), high + 0.5 * high.abs().max(1.0)) };
         let step = step(high - low, 5);
-        Self { low: (low / step - 1e-9).floor() * step, high: (high / step + 1e-9).ceil() * step, log: false }
+        Self { low: (low / step + 1e-9).floor() * step, high: (high / step - 1e-9).ceil() * step, log: false }
     }
 
     /// Ends at 1, 2 or 5 times a power of ten: whole decades would leave much of a chart empty.
@@ -52,7 +55,7 @@ impl Range {
 
     /// About `count` round values within the range, rising.
     pub fn ticks(&self, count: usize) -> Vec<f64> {
-        if !(self.low.is_finite() && self.high.is_finite() && self.low < self.high) {
+        if !(self.low.is_finite() && self.high.is_finite() && self.low < self.high) || (self.log && self.low <= 0.0) {
             return vec![self.low];
         }
         if !self.log {
@@ -83,7 +86,11 @@ impl Range {
 pub fn labels(ticks: &[f64]) -> Vec<String> {
     let largest = ticks.iter().map(|t| t.abs()).fold(0.0, f64::max);
     let smallest = ticks.iter().map(|t| t.abs()).filter(|t| *t > 0.0).fold(f64::INFINITY, f64::min);
-    let gap = ticks.windows(2).map(|w| (w[1] - w[0]).abs()).fold(f64::INFINITY, f64::min).min(smallest.max(f64::MIN_POSITIVE));
+    let gap = ticks
+        .windows(2)
+        .map(|w| (w[1] - w[0]).abs())
+        .fold(f64::INFINITY, f64::min)
+        .min(smallest.max(f64::MIN_POSITIVE));
     let even = ticks.len() > 2 && ticks.windows(3).all(|w| (w[2] - 2.0 * w[1] + w[0]).abs() < 1e-9 * largest);
     ticks
         .iter()
@@ -99,10 +106,12 @@ pub fn labels(ticks: &[f64]) -> Vec<String> {
 
 /// Decimals that show a value of this size to its first digit (two, for steps like 0.25).
 fn decimals(value: f64) -> usize {
-    (0..9).find(|&d| {
-        let scaled = value * ten(d);
-        (scaled - scaled.round()).abs() < 1e-6 * scaled && scaled > 0.5
-    }).unwrap_or(6) as usize
+    (0..9)
+        .find(|&d| {
+            let scaled = value * ten(d);
+            (scaled - scaled.round()).abs() < 1e-6 * scaled && scaled > 0.5
+        })
+        .unwrap_or(6) as usize
 }
 
 /// The round step (1, 2 or 5 times a power of ten) that cuts `span` into about `count` parts.
@@ -137,7 +146,7 @@ mod tests {
         assert_eq!(texts(Range::over([0.0, 9.3], false), 5), "0 2 4 6 8 10");
         assert_eq!(texts(Range::over([-0.12, 0.31], false), 5), "-0.2 -0.1 0.0 0.1 0.2 0.3 0.4");
         assert_eq!(texts(Range::over([1.2e6, 3.1e6], false), 4), "1e6 1.5e6 2e6 2.5e6 3e6 3.5e6");
-        assert_eq!(texts(Range { low: 3.2, high: 17.9, log: false }, 5), "4 6 8 10 12 14 16".replace("4 6 8 10 12 14 16", "5 10 15"));
+        assert_eq!(texts(Range { low: 3.2, high: 17.9, log: false }, 5), "4 6 8 10 12 14 16");
     }
 
     #[test]
@@ -158,7 +167,9 @@ mod tests {
     #[test]
     fn nonsense_gives_an_axis_all_the_same() {
         for log in [false, true] {
-            for values in [vec![], vec![f64::NAN, f64::INFINITY], vec![0.0], vec![-7.0, -7.0], vec![1e308, -1e308], vec![5e-324]] {
+            for values in
+                [vec![], vec![f64::NAN, f64::INFINITY], vec![0.0], vec![-7.0, -7.0], vec![1e308, -1e308], vec![5e-324]]
+            {
                 let range = Range::over(values.clone(), log);
                 let ticks = range.ticks(5);
                 assert!(!ticks.is_empty() && ticks.len() < 40, "{values:?} {range:?}");

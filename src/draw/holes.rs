@@ -150,14 +150,22 @@ mod tests {
     /// Two squares of 10 m side by side, each of two faces; `gap_m` moves one shared vertex of the right one.
     fn two_squares(gap_m: f64) -> (Vec<DVec3>, Vec<[u32; 3]>) {
         let p = |x: f64, y: f64| DVec3::new(x, y, 0.0);
-        let positions =
-            vec![p(0.0, 0.0), p(10.0, 0.0), p(10.0, 10.0), p(0.0, 10.0), p(10.0 + gap_m, 0.0), p(20.0, 0.0), p(20.0, 10.0)];
+        let positions = vec![
+            p(0.0, 0.0),
+            p(10.0, 0.0),
+            p(10.0, 10.0),
+            p(0.0, 10.0),
+            p(10.0 + gap_m, 0.0),
+            p(20.0, 0.0),
+            p(20.0, 10.0),
+        ];
         (positions, vec![[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 2]])
     }
 
     fn seen(gap_m: f64, px_per_m: f64) -> Seen {
         let (positions, faces) = two_squares(gap_m);
-        let view = View::above_at(DVec3::new(-1.0, 11.0, 9.0), px_per_m, [(22.0 * px_per_m) as u32, (12.0 * px_per_m) as u32]);
+        let view =
+            View::above_at(DVec3::new(-1.0, 11.0, 9.0), px_per_m, [(22.0 * px_per_m) as u32, (12.0 * px_per_m) as u32]);
         Seen::of(&view, &positions, &faces)
     }
 
@@ -184,7 +192,8 @@ mod tests {
     fn a_shrunken_outline_is_rim_and_not_hole() {
         let view = View::above_at(DVec3::new(-1.0, 11.0, 9.0), 4.0, [88, 48]);
         let (positions, faces) = two_squares(0.0);
-        let smaller: Vec<DVec3> = positions.iter().map(|p| DVec3::new(p.x * 0.98 + 0.2, p.y * 0.96 + 0.2, 0.0)).collect();
+        let smaller: Vec<DVec3> =
+            positions.iter().map(|p| DVec3::new(p.x * 0.98 + 0.2, p.y * 0.96 + 0.2, 0.0)).collect();
         let (reference, other) = (Seen::of(&view, &positions, &faces), Seen::of(&view, &smaller, &faces));
         assert!(Holes::of(&reference, &other, &HoleConfig { rim_px: 0, ..Default::default() }).open_px > 0);
         assert_eq!(Holes::of(&reference, &other, &HoleConfig::default()).open_px, 0);

@@ -8,7 +8,6 @@
 //! | `view` | cameras: from above, oblique, a flight around a box |
 //! | `raster` | which face is seen at which pixel |
 //! | `shade` | paint, light and 2×2 smoothing of what is seen |
-//! | `scene` | textured parts; PSNR of two pictures |
 //! | `holes` | pixels where one mesh has surface and another has not |
 //! | `ramp` | values and classes become colours |
 //! | `text` | a bitmap font |

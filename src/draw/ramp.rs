@@ -21,7 +21,9 @@ impl Ramp {
     pub fn stops(self) -> &'static [[u8; 3]] {
         match self {
             Self::BlueRed => &[[28, 46, 204], [26, 156, 222], [62, 178, 92], [240, 214, 48], [214, 32, 30]],
-            Self::Even => &[[38, 18, 72], [70, 48, 140], [44, 110, 158], [46, 162, 136], [142, 204, 84], [250, 238, 120]],
+            Self::Even => {
+                &[[38, 18, 72], [70, 48, 140], [44, 110, 158], [46, 162, 136], [142, 204, 84], [250, 238, 120]]
+            }
             Self::Signed => &[[30, 60, 170], [122, 164, 222], [244, 244, 242], [234, 146, 112], [176, 26, 38]],
         }
     }
@@ -164,7 +166,8 @@ mod tests {
 
     #[test]
     fn regions_next_in_number_differ_clearly() {
-        let distance = |a: [u8; 3], b: [u8; 3]| -> i32 { (0..3).map(|c| (i32::from(a[c]) - i32::from(b[c])).abs()).sum() };
+        let distance =
+            |a: [u8; 3], b: [u8; 3]| -> i32 { (0..3).map(|c| (i32::from(a[c]) - i32::from(b[c])).abs()).sum() };
         assert!((0..5000).all(|i| distance(region_color(i), region_color(i + 1)) > 60));
     }
 

@@ -62,8 +62,11 @@ impl Seen {
         let corners: Vec<Corner> = positions.par_iter().map(|&p| corner(view, &planes, p)).collect();
         let mesh = Projection { view, positions, faces, corners: &corners };
         let bands = height.div_ceil(BAND_ROWS);
-        let lists: Vec<Vec<Vec<u32>>> =
-            faces.par_chunks(CHUNK_FACES).enumerate().map(|(i, chunk)| mesh.list(i * CHUNK_FACES, chunk, bands)).collect();
+        let lists: Vec<Vec<Vec<u32>>> = faces
+            .par_chunks(CHUNK_FACES)
+            .enumerate()
+            .map(|(i, chunk)| mesh.list(i * CHUNK_FACES, chunk, bands))
+            .collect();
         let mut seen = vec![NO_FACE; width * height];
         let mut nearness = vec![f64::NEG_INFINITY; width * height];
         let rows = BAND_ROWS * width;
@@ -148,7 +151,9 @@ impl Projection<'_> {
             return take(tri);
         }
         let polygon = cut(self.view, indices.map(|v| self.view.camera_from_local(self.positions[v as usize])));
-        let Some(polygon) = polygon.into_iter().map(|p| place(self.view, p)).collect::<Option<Vec<_>>>() else { return };
+        let Some(polygon) = polygon.into_iter().map(|p| place(self.view, p)).collect::<Option<Vec<_>>>() else {
+            return;
+        };
         for i in 2..polygon.len() {
             take([polygon[0], polygon[i - 1], polygon[i]]);
         }

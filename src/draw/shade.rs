@@ -52,12 +52,7 @@ pub fn render(view: &View, positions: &[DVec3], faces: &[[u32; 3]], paint: Paint
 }
 
 /// Colours what is seen; `color` is asked once per covered pixel, in no particular order.
-pub fn color(
-    seen: &Seen,
-    positions: &[DVec3],
-    faces: &[[u32; 3]],
-    color: impl Fn(&Hit) -> [u8; 3] + Sync,
-) -> RgbImage {
+pub fn color(seen: &Seen, positions: &[DVec3], faces: &[[u32; 3]], color: impl Fn(&Hit) -> [u8; 3] + Sync) -> RgbImage {
     let view = seen.view();
     let [width, height] = view.size_px();
     let lamp = lamp();

@@ -139,7 +139,14 @@ impl Shape {
                 )
             }
             Self::Mark { at: [x, y], radius, sign: Sign::Disc, color } => {
-                writeln!(svg, "<circle cx=\"{}\" cy=\"{}\" r=\"{}\" fill=\"{}\"/>", number(*x), number(*y), number(*radius), hex(*color))
+                writeln!(
+                    svg,
+                    "<circle cx=\"{}\" cy=\"{}\" r=\"{}\" fill=\"{}\"/>",
+                    number(*x),
+                    number(*y),
+                    number(*radius),
+                    hex(*color)
+                )
             }
             Self::Mark { at: [x, y], radius: r, sign, color } => {
                 let corners = if *sign == Sign::Square {

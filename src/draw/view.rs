@@ -327,9 +327,12 @@ mod tests {
         assert!(view.project(DVec3::new(0.0, -1.0, 0.0)).is_none());
         let ahead = view.project(DVec3::new(0.0, 7.0, 0.0)).expect("in front");
         assert!((ahead.depth_m - 7.0).abs() < 1e-12);
-        assert!((view.enlarged(2).project(DVec3::new(1.0, 7.0, 2.0)).expect("in front").x_px
-            - 2.0 * view.project(DVec3::new(1.0, 7.0, 2.0)).expect("in front").x_px)
-            .abs() < 1e-9);
+        assert!(
+            (view.enlarged(2).project(DVec3::new(1.0, 7.0, 2.0)).expect("in front").x_px
+                - 2.0 * view.project(DVec3::new(1.0, 7.0, 2.0)).expect("in front").x_px)
+                .abs()
+                < 1e-9
+        );
     }
 
     #[test]

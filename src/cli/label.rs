@@ -219,7 +219,11 @@ fn tuned(
     }
     for (when, agreement) in [("before", &tuned.before), ("after", &tuned.after)] {
         let Confusion { overall_accuracy, mean_iou, .. } = &agreement.by_area;
-        print(&format!("{when:7} {:5.1} % right, mean IoU {:5.1} %, by area", 100.0 * overall_accuracy, 100.0 * mean_iou))?;
+        print(&format!(
+            "{when:7} {:5.1} % right, mean IoU {:5.1} %, by area",
+            100.0 * overall_accuracy,
+            100.0 * mean_iou
+        ))?;
     }
     Ok(Outcome::Fine)
 }
@@ -285,13 +289,7 @@ fn labelled_ply<'a>(
     Ok(ply)
 }
 
-fn report(
-    front: &Front,
-    classes: &Classes,
-    config: &Config,
-    truth: Option<Agreement>,
-    reporter: &Reporter,
-) -> Report {
+fn report(front: &Front, classes: &Classes, config: &Config, truth: Option<Agreement>, reporter: &Reporter) -> Report {
     let mut shares: Vec<Share> =
         classes.scheme.0.iter().map(|c| Share { class: c.name.clone(), triangles: 0, area_m2: 0.0 }).collect();
     for (label, area) in classes.label.iter().zip(front.areas_m2()) {

@@ -73,7 +73,10 @@ mod tests {
             std::fs::write(folder.path().join(name), text).unwrap();
             folder.path().join(name)
         };
-        let named = file("a.ply", "ply\ncomment Label 0 bare ground\ncomment made by hand\ncomment label x y\nend_header\ncomment label 9 no\n");
+        let named = file(
+            "a.ply",
+            "ply\ncomment Label 0 bare ground\ncomment made by hand\ncomment label x y\nend_header\ncomment label 9 no\n",
+        );
         let bare = file("b.ply", "ply\nformat ascii 1.0\nend_header\n");
         assert_eq!(names(&[bare.clone(), named]).unwrap(), [(0, "bare ground".to_owned())]);
         assert_eq!(names(&[bare, "scan.obj".into()]).unwrap()[4], (3, "building".to_owned()));

@@ -5,13 +5,13 @@ use std::path::Path;
 use crate::classes::Classes;
 use crate::classes::nine::{FEATURES, Form, Measures, NINE};
 use crate::draw::panel::{Legend, Panel, grid};
+use crate::draw::png;
 use crate::draw::ramp::{NO_DATA, Ramp, Scale, class_color, region_color};
 use crate::draw::shade::{Paint, render};
 use crate::draw::view::View;
-use crate::draw::png;
 use crate::mesh::{Mesh, topology};
-use crate::planes::NONE;
 use crate::pipeline::Front;
+use crate::planes::NONE;
 use crate::{Error, Result};
 
 /// Pictures are this large, pixels.
@@ -76,13 +76,7 @@ fn scale(values: &[f64], unit: &str) -> Scale {
 }
 
 /// A colour per face: `class`, `region`, or a feature's name.
-pub fn face_colors(
-    front: &Front,
-    measures: &Measures,
-    classes: &Classes,
-    form: Form,
-    what: &str,
-) -> Vec<[u8; 3]> {
+pub fn face_colors(front: &Front, measures: &Measures, classes: &Classes, form: Form, what: &str) -> Vec<[u8; 3]> {
     match what {
         "class" => classes.label.iter().map(|label| class_color(&classes.scheme, *label)).collect(),
         "region" => {

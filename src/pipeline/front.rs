@@ -2,8 +2,9 @@
 
 use std::path::PathBuf;
 
-use crate::classes::{Classes, Ground, classify_measured, looks_at_colors};
+use crate::Result;
 use crate::classes::nine::{Measures, Scene};
+use crate::classes::{Classes, Ground, classify_measured, looks_at_colors};
 use crate::config::Config;
 use crate::geo::{Frame, Georeference};
 use crate::input::Source;
@@ -11,7 +12,6 @@ use crate::mesh::{GateReport, Mesh};
 use crate::planes::{self, Planes};
 use crate::report::Reporter;
 use crate::texture::{Images, Surface, mean_colors};
-use crate::Result;
 
 /// A mesh and its planes, ready to be classified.
 pub struct Front {
@@ -78,5 +78,9 @@ pub(super) fn warn(config: &Config, reporter: &Reporter) {
 
 /// Mean colours of the faces where the labelling looks at them, else nothing.
 pub(super) fn colors(mesh: &Mesh, images: &Images, config: &Config) -> Vec<[u8; 3]> {
-    if looks_at_colors(&config.classes, &config.classify) { mean_colors(&Surface::from(mesh), images) } else { Vec::new() }
+    if looks_at_colors(&config.classes, &config.classify) {
+        mean_colors(&Surface::from(mesh), images)
+    } else {
+        Vec::new()
+    }
 }

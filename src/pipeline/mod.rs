@@ -206,8 +206,11 @@ fn share_line(shares: &[ClassShare]) -> String {
 /// Classes against the labels of the source, base classes by number, weighted by area.
 fn agreement(mesh: &Mesh, classes: &Classes) -> Confusion {
     let base = classes::scheme::BASE.map(|name| classes::truth::mask_of_name(&classes.scheme, name));
-    let truth: Vec<u32> =
-        mesh.face_labels.iter().map(|&l| usize::try_from(l).ok().and_then(|l| base.get(l)).copied().unwrap_or(0)).collect();
+    let truth: Vec<u32> = mesh
+        .face_labels
+        .iter()
+        .map(|&l| usize::try_from(l).ok().and_then(|l| base.get(l)).copied().unwrap_or(0))
+        .collect();
     let areas: Vec<f64> = (0..mesh.faces.len()).map(|f| mesh.cross(f).length() * 0.5).collect();
     classes::truth::agreement(classes, &truth, &areas).by_area
 }

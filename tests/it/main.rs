@@ -7,6 +7,7 @@
 //! | `determinism` | same input, same bytes, for any number of threads |
 //! | `tileset` | what a published tileset promises, measured with readers and oracles of the tests' own |
 //! | `formats` | hundreds of odd files of other projects: no panic, no hang, no memory |
+//! | `label` | labels, their truth, schemes of other classes, tuning, figures |
 //! | `layers` | which module may know which |
 //! | `real` | a real scan, from end to end |
 //!
@@ -18,6 +19,7 @@ mod cli;
 mod common;
 mod determinism;
 mod formats;
+mod label;
 mod layers;
 mod real;
 mod tileset;

@@ -62,7 +62,7 @@ impl ClassesConfig {
 /// Does the labelling look at colours? Then the scene should have them.
 pub fn looks_at_colors(scheme: &ClassScheme, config: &ClassesConfig) -> bool {
     let in_table = |table: &Table| table.rows.iter().any(|r| r.feature == "greenness");
-    looks_at(scheme, "greenness") || config.table().is_some_and(in_table)
+    looks_at(scheme, "greenness") || looks_at(scheme, "patch_greenness") || config.table().is_some_and(in_table)
 }
 
 /// Gives every face its probabilities with the configured classifier.

@@ -23,8 +23,13 @@ use crate::mesh::topology::NONE;
 pub const BASE: [&str; 4] = ["terrain", "facade", "roof", "clutter"];
 
 /// Features that only cues may name, since they need a first labelling.
-pub const PATCH_FEATURES: [Spec; 2] = [
+pub const PATCH_FEATURES: [Spec; 3] = [
     Spec { name: "patch_area_m2", unit: "m²", what: "area of the connected faces of the same source class" },
+    Spec {
+        name: "patch_greenness",
+        unit: "",
+        what: "mean greenness of those faces: a tree with its trunk and shadows",
+    },
     Spec { name: "patch_top_m", unit: "m", what: "greatest height above ground of those faces" },
 ];
 
@@ -184,6 +189,10 @@ fn column(measures: &Measures, patches: Option<&Patches>, mesh: &Mesh, feature: 
     let nothing = || vec![0.0; mesh.faces.len()];
     match (feature, patches) {
         ("patch_area_m2", Some(patches)) => patches.per_face(&patches.area_m2),
+        ("patch_greenness", Some(patches)) => {
+            let greenness = measures.of_faces("greenness", Form::Robust).unwrap_or_else(nothing);
+            patches.per_face(&patches.mean(mesh, &greenness))
+        }
         ("patch_top_m", Some(patches)) => {
             let height = measures.of_faces("height_m", Form::Robust).unwrap_or_else(nothing);
             patches.per_face(&patches.greatest(&height))
@@ -235,6 +244,15 @@ impl Patches {
             patches.area_m2.push(area as f32);
         }
         patches
+    }
+
+    /// By area.
+    fn mean(&self, mesh: &Mesh, of_faces: &[f32]) -> Vec<f32> {
+        let mut sums = vec![0.0f64; self.area_m2.len()];
+        for (f, value) in of_faces.iter().enumerate() {
+            sums[self.of_face[f] as usize] += 0.5 * mesh.cross(f).length() * f64::from(*value);
+        }
+        sums.iter().zip(&self.area_m2).map(|(sum, area)| (sum / f64::from(*area).max(1e-9)) as f32).collect()
     }
 
     fn greatest(&self, of_faces: &[f32]) -> Vec<f32> {

@@ -2,8 +2,10 @@
 
 use std::path::Path;
 
+use image::RgbImage;
+
 use crate::classes::Classes;
-use crate::classes::nine::{FEATURES, Form, Measures, NINE};
+use crate::classes::nine::{FEATURES, Form, Measures, NINE, range};
 use crate::draw::panel::{Legend, Panel, grid};
 use crate::draw::png;
 use crate::draw::ramp::{NO_DATA, Ramp, Scale, class_color, region_color};
@@ -15,63 +17,76 @@ use crate::planes::NONE;
 use crate::{Error, Result};
 
 /// Pictures are this large, pixels.
-const FEATURE_PX: [u32; 2] = [480, 360];
-const LARGE_PX: [u32; 2] = [1200, 900];
+const FEATURE_PX: [u32; 2] = [420, 315];
+const LARGE_PX: [u32; 2] = [1000, 750];
 /// From the south-west, as high as the paper's figures look.
 const AZIMUTH_DEG: f64 = 215.0;
 const ELEVATION_DEG: f64 = 38.0;
 /// Share of the values at either end that a scale leaves out.
 const CUT: f64 = 0.02;
+/// sRGB of an input without colours.
+const BARE: [u8; 3] = [190, 190, 186];
 
-/// Writes `features.png` (the paper's Figure 3), `regions.png` (Figure 2) and `classes.png` (Figure 4) into a folder,
-/// which is made; returns their names.
+/// Writes `features.png` (the paper's Figure 3), `regions.png` (Figure 2) and `classes.png` (Figure 4), each beside the
+/// input, into a folder, which is made; returns their names.
 ///
 /// # Errors
 /// [`Error::Io`] if the disk refuses.
 pub fn write(front: &Front, measures: &Measures, classes: &Classes, form: Form, folder: &Path) -> Result<Vec<String>> {
     std::fs::create_dir_all(folder).map_err(Error::io("create", folder))?;
-    let mesh = &front.mesh;
+    let features = features(front, measures, form);
+    let of = |what: &str| face_colors(front, measures, classes, form, what);
+    let legend = Legend::of_classes(&classes.scheme);
     let mut names = Vec::new();
-    let mut put = |name: &str, picture: &image::RgbImage| {
+    for (name, picture) in [
+        ("features.png", features),
+        ("regions.png", beside_input(front, "planar regions", &of("region"), None)),
+        ("classes.png", beside_input(front, "classes", &of("class"), Some(legend))),
+    ] {
+        png::write(&picture, &folder.join(name))?;
         names.push(name.to_owned());
-        png::write(picture, &folder.join(name))
-    };
-    let view = View::oblique(&mesh.positions, AZIMUTH_DEG, ELEVATION_DEG, FEATURE_PX);
-    let panels: Vec<Panel> = FEATURES[..NINE]
-        .iter()
-        .zip('b'..)
-        .map(|(feature, letter)| {
-            let values = measures.of_vertices(feature.name, form).unwrap_or_default();
-            let values: Vec<f64> = values.into_iter().map(f64::from).collect();
-            let scale = scale(&values, feature.unit);
-            Panel {
-                title: format!("({letter}) {}", feature.name.replace('_', " ")),
-                picture: render(&view, &mesh.positions, &mesh.faces, Paint::VertexValues(&values, &scale)),
-                legend: Some(Legend::Scale(scale)),
-            }
-        })
-        .collect();
-    put("features.png", &grid("", &panels, 3, None, 2))?;
-
-    let view = View::oblique(&mesh.positions, AZIMUTH_DEG, ELEVATION_DEG, LARGE_PX);
-    let painted = |colors: &[[u8; 3]]| render(&view, &mesh.positions, &mesh.faces, Paint::Faces(colors));
-    put("regions.png", &painted(&face_colors(front, measures, classes, form, "region")))?;
-    let picture = painted(&face_colors(front, measures, classes, form, "class"));
-    let title = String::new();
-    let legend = Some(Legend::of_classes(&classes.scheme));
-    put("classes.png", &grid("", &[Panel { title, picture, legend }], 1, None, 2))?;
-    if !front.face_colors.is_empty() {
-        put("input.png", &painted(&front.face_colors))?;
     }
     Ok(names)
 }
 
-/// Blue to red without the outliers. Features that grow without bound are seen on a logarithmic scale.
-fn scale(values: &[f64], unit: &str) -> Scale {
+/// The input and the nine features, blue to red.
+fn features(front: &Front, measures: &Measures, form: Form) -> RgbImage {
+    let mesh = &front.mesh;
+    let view = View::oblique(&mesh.positions, AZIMUTH_DEG, ELEVATION_DEG, FEATURE_PX);
+    let mut panels = vec![Panel { title: "(a) input".into(), picture: input(front, &view), legend: None }];
+    panels.extend(FEATURES[..NINE].iter().zip('b'..).map(|(feature, letter)| {
+        let values = measures.of_vertices(feature.name, form).unwrap_or_default();
+        let values: Vec<f64> = values.into_iter().map(f64::from).collect();
+        let scale = scale(&values, feature.name, feature.unit, form);
+        Panel {
+            title: format!("({letter}) {}", feature.name.replace('_', " ")),
+            picture: render(&view, &mesh.positions, &mesh.faces, Paint::VertexValues(&values, &scale)),
+            legend: Some(Legend::Scale(scale)),
+        }
+    }));
+    grid("", &panels, 5, None, 2)
+}
+
+fn beside_input(front: &Front, title: &str, colors: &[[u8; 3]], legend: Option<Legend>) -> RgbImage {
+    let mesh = &front.mesh;
+    let view = View::oblique(&mesh.positions, AZIMUTH_DEG, ELEVATION_DEG, LARGE_PX);
+    let picture = render(&view, &mesh.positions, &mesh.faces, Paint::Faces(colors));
+    let left = Panel { title: "input".into(), picture: input(front, &view), legend: None };
+    grid("", &[left, Panel { title: title.into(), picture, legend }], 2, None, 2)
+}
+
+/// The input by the mean colours of its faces.
+fn input(front: &Front, view: &View) -> RgbImage {
+    let colors = &front.face_colors;
+    let paint = if colors.is_empty() { Paint::Solid(BARE) } else { Paint::Faces(colors) };
+    render(view, &front.mesh.positions, &front.mesh.faces, paint)
+}
+
+/// Blue to red without the outliers; logarithmic for the pure numbers that have no bound, Eq. 7 and 8 as printed.
+fn scale(values: &[f64], name: &str, unit: &str, form: Form) -> Scale {
     let mut scale = Scale::over(Ramp::BlueRed, values, CUT, unit);
-    if scale.low > 0.0 && scale.high > 1e3 * scale.low {
-        scale.log = true;
-    }
+    let is_bounded = range(name, form).is_none_or(|[_, high]| high.is_finite());
+    scale.log = !is_bounded && unit.is_empty() && scale.low > 0.0;
     scale
 }
 
@@ -86,7 +101,7 @@ pub fn face_colors(front: &Front, measures: &Measures, classes: &Classes, form: 
         feature => {
             let values = measures.of_faces(feature, form).unwrap_or_else(|| vec![f32::NAN; front.mesh.faces.len()]);
             let values: Vec<f64> = values.into_iter().map(f64::from).collect();
-            let scale = scale(&values, "");
+            let scale = scale(&values, feature, "", form);
             values.iter().map(|v| scale.color(*v)).collect()
         }
     }

@@ -230,7 +230,7 @@ impl Band<'_> {
             let offset = (row - self.top) * self.width;
             let mut was_inside = false;
             for column in columns[0]..=columns[1] {
-                if at[0] + own[0] | at[1] + own[1] | at[2] + own[2] >= 0 {
+                if ((at[0] + own[0]) | (at[1] + own[1]) | (at[2] + own[2])) >= 0 {
                     was_inside = true;
                     let (wb, wc) = (at[1] as f64 * share, at[2] as f64 * share);
                     let near = a.nearness + wb * (b.nearness - a.nearness) + wc * (c.nearness - a.nearness);

@@ -10,7 +10,8 @@
 //!    maximum is looked at closely. All others are cut in two along the nearest triangle's outline, so that pieces
 //!    come to lie over one triangle each, where the bound is sharp; or through the middle where no outline passes.
 //! 4. Per class of the reference: where the reference is cut, a piece has its face's class; where it is searched, a
-//!    piece has all classes that a nearest point of it might have, found by a ball in the tree.
+//!    piece has all classes that a nearest point of it might have, found by a ball in the tree. A point between two
+//!    classes, no further from one than from the other by more than the tolerance, counts for both.
 //!
 //! # Promises
 //! `lower ≤ truth ≤ upper` always; `upper ≤ lower + tolerance` unless the limit of pieces was reached. Chunks begin
@@ -141,6 +142,15 @@ fn larger(a: Option<f64>, b: Option<f64>) -> Option<f64> {
     }
 }
 
+fn raise(bounds: &mut PerClass, classes: u32, distance: f64) {
+    let mut rest = classes;
+    while rest != 0 {
+        let known = &mut bounds[rest.trailing_zeros() as usize];
+        *known = larger(*known, Some(distance));
+        rest &= rest - 1;
+    }
+}
+
 #[derive(Clone, Copy)]
 struct Bounds {
     lower: PerClass,
@@ -216,13 +226,14 @@ impl Run<'_> {
         (least, largest)
     }
 
+    /// A point of these classes is this far.
+    fn see(&mut self, classes: u32, distance: f64) {
+        raise(&mut self.bounds.lower, classes, distance);
+    }
+
+    /// No point of a piece of these classes is further.
     fn settle(&mut self, classes: u32, bound: f64) {
-        let mut rest = classes;
-        while rest != 0 {
-            let upper = &mut self.bounds.upper[rest.trailing_zeros() as usize];
-            *upper = larger(*upper, Some(bound));
-            rest &= rest - 1;
-        }
+        raise(&mut self.bounds.upper, classes, bound);
     }
 
     fn piece(&mut self, mut piece: Piece) {
@@ -237,7 +248,7 @@ impl Run<'_> {
             Classes::OfTo(_) => usize::from(to.class_of(hit.face)),
             _ => piece.classes.trailing_zeros() as usize,
         };
-        self.bounds.lower[class] = larger(self.bounds.lower[class], Some(hit.distance));
+        self.see(1 << class, hit.distance);
         bound = bound.min(hit.distance + radius);
         if hit.face != piece.start {
             bound = bound.min(piece.furthest_from(to, hit.face));
@@ -250,10 +261,14 @@ impl Run<'_> {
         self.left = self.left.saturating_sub(1);
         if let Classes::OfTo(masks) = self.search.classes
             && !piece.classes.is_power_of_two()
-            && (bound <= largest || is_last)
         {
-            // No point of the piece is further than `bound` from its nearest point.
-            piece.classes = to.classes_within(masks, middle, bound + radius, piece.classes) | (1 << class);
+            // Classes all but tied for nearest: their points lie about the middle, too.
+            let tied = hit.distance + self.search.tolerance_m;
+            self.see(to.classes_within(masks, middle, tied, piece.classes), hit.distance);
+            if bound <= largest || is_last {
+                // No point of the piece is further than `bound` from its nearest point.
+                piece.classes = to.classes_within(masks, middle, bound + radius, piece.classes) | (1 << class);
+            }
             if bound <= self.threshold(piece.classes).0 {
                 return self.settle(piece.classes, bound);
             }

@@ -149,9 +149,9 @@ impl Prepared {
         self.bvh.masks(|f| 1 << self.class_of(f))
     }
 
-    /// Classes among `wanted` that have a face within `radius` of `p`, and perhaps one more.
+    /// Classes among `wanted` that have a face within `radius` of `p`.
     pub fn classes_within(&self, masks: &[u32], p: DVec3, radius: f64, wanted: u32) -> u32 {
-        self.bvh.mask_within(masks, p, radius, wanted)
+        self.bvh.mask_within(masks, |f| 1 << self.class_of(f), p, radius, wanted)
     }
 
     pub fn aabb(&self) -> Aabb {

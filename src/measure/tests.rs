@@ -131,7 +131,7 @@ fn a_chimney_that_was_cut_off_counts_as_sunk_in_by_its_height() {
     let height = |x: u32, y: u32| if (x, y) == (5, 5) { 1.2 } else { 0.0 };
     let result = compare(&grid(10, height), &flat(10, 0.0), &few());
     let signed = result.all.signed.unwrap();
-    assert!(close(signed.inside_seen_m, 1.2, 1e-12) && signed.outside_seen_m == 0.0, "{signed:?}");
+    assert!(close(signed.inside_seen_m, 1.2, 1e-12) && signed.outside_seen_m < 1e-12, "{signed:?}");
     assert!(signed.either_upper_m >= 1.2);
 }
 

@@ -14,8 +14,11 @@
 //!    classes, no further from one than from the other by more than the tolerance, counts for both.
 //!
 //! # Promises
-//! `lower ≤ truth ≤ upper` always; `upper ≤ lower + tolerance` unless the limit of pieces was reached. Chunks begin
+//! `lower ≤ truth ≤ upper` always (`the_interval_holds_what_brute_force_finds`); `upper ≤ lower + tolerance` unless the limit of pieces was reached. Chunks begin
 //! from the same bounds and are folded in order: the same for any number of threads.
+//!
+//! # Limits
+//! The upper bound stops once it is within the tolerance: surfaces that are equal have an interval up to as wide.
 
 use glam::DVec3;
 use rayon::prelude::*;

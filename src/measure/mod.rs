@@ -25,6 +25,11 @@
 //! Sides need outward faces; see `signed`. Percentiles are of samples, so parts below a sample's share of the area may
 //! be missed by all figures but the interval.
 //!
+//! # Cost
+//! Measured on a scan of 295 k faces against 10 % of them, one thread, optimised build: 2.9 µs of processor time a
+//! reference face for all but the samples (welding, edges, both trees, all vertices both ways 2.3; certified interval
+//! of 2 cm both ways and three classes 0.6), 0.8 µs a sample. At 2 mm the interval cost the same. 126 MB in all.
+//!
 //! # References
 //! The paper's Eq. 17 and 18 are reported and nothing more: they are measured at simplified vertices only, so that a
 //! simplifier that keeps a subset of them scores 0 whatever it lost, and Eq. 18 as printed is the root of a mean

@@ -34,7 +34,7 @@ pub struct Args {
     #[arg(long, value_name = "N", default_value_t = MeasureConfig::default().seed)]
     seed: u64,
     /// Wanted width of certified intervals, metres. Default: 0.02, or 2e-4 of REF's diagonal where that is less.
-    #[arg(long, value_name = "METRES")]
+    #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     tolerance: Option<f64>,
     /// Follow paths in the inputs that lead out of their folder.
     #[arg(long)]

@@ -123,7 +123,7 @@ pub struct Figures {
     pub reference_to_simplified: Option<Summary>,
     /// From samples on the simplified surface: sees what was invented.
     pub simplified_to_reference: Option<Summary>,
-    /// Both, half the weight each.
+    /// Both, half the weight each; the one alone where the other has nothing, as with a class that was lost.
     pub two_sided: Option<Summary>,
     /// From every vertex of the reference: small parts count here, as vertices crowd where there is detail.
     pub reference_vertices_to_simplified: Option<Summary>,
@@ -310,7 +310,8 @@ impl Reference {
         let (there, back) = (measured.there.series.sorted(key), measured.back.series.sorted(key));
         figures.reference_to_simplified = distance::summary(&there, diagonal);
         figures.simplified_to_reference = distance::summary(&back, diagonal);
-        figures.two_sided = distance::two_sided(&there, &back, diagonal);
+        let alone = || figures.reference_to_simplified.clone().or_else(|| figures.simplified_to_reference.clone());
+        figures.two_sided = distance::two_sided(&there, &back, diagonal).or_else(alone);
         figures.reference_vertices_to_simplified =
             distance::summary(&measured.reference_vertices.sorted(key), diagonal);
         figures.hausdorff = measured.hausdorff(key, diagonal);

@@ -21,6 +21,7 @@ pub mod geo;
 pub mod ids;
 pub mod input;
 pub mod inspect;
+pub mod measure;
 pub mod mesh;
 pub mod pipeline;
 pub mod planes;

@@ -3,6 +3,7 @@
 //! | module | asks |
 //! |---|---|
 //! | `cli` | flags, exit codes, what is left on disk, signals |
+//! | `compare` | figures of known shapes, labels, refusals |
 //! | `bad_input` | every kind of broken input ends in one sentence and the designed exit code |
 //! | `determinism` | same input, same bytes, for any number of threads |
 //! | `tileset` | what a published tileset promises, measured with readers and oracles of the tests' own |
@@ -16,6 +17,7 @@
 mod bad_input;
 mod cli;
 mod common;
+mod compare;
 mod determinism;
 mod formats;
 mod layers;

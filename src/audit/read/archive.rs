@@ -34,7 +34,12 @@ impl Archive {
             CompressionMethod::Stored => Ok(packed),
             CompressionMethod::Deflated => read_limited(flate2::read::DeflateDecoder::new(&packed[..]), path),
             other if is_zstd(other) => unzstd(&packed, path),
-            other => return refuse("archive-method", format!("{path} is packed as {other}; stored, deflate and zstd are read")),
+            other => {
+                return refuse(
+                    "archive-method",
+                    format!("{path} is packed as {other}; stored, deflate and zstd are read"),
+                );
+            }
         };
         let unpacked =
             unpacked.map_err(|r| if r.code == "unreadable" { Refusal { code: "broken-archive", ..r } } else { r })?;

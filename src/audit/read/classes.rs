@@ -54,8 +54,14 @@ struct Column<'a> {
 
 enum Kind<'a> {
     /// Integers; with an enum's names by value.
-    Integers { scalar: Scalar, names: Option<BTreeMap<i64, String>> },
-    Strings { offsets: &'a [u8], scalar: Scalar },
+    Integers {
+        scalar: Scalar,
+        names: Option<BTreeMap<i64, String>>,
+    },
+    Strings {
+        offsets: &'a [u8],
+        scalar: Scalar,
+    },
 }
 
 #[derive(Clone, Copy)]

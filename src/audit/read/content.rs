@@ -71,7 +71,9 @@ pub fn split_b3dm(bytes: &[u8]) -> Result<(&[u8], DVec3), Refusal> {
     let sizes = [at(12)?, at(16)?, at(20)?, at(24)?];
     let (header, sizes) = match sizes {
         [_, batch_json, json_start, _] if json_start >= LEGACY_FROM => (20, [0, 0, batch_json, 0]),
-        [batch_json, batch_binary, _, json_start] if json_start >= LEGACY_FROM => (24, [0, 0, batch_json, batch_binary]),
+        [batch_json, batch_binary, _, json_start] if json_start >= LEGACY_FROM => {
+            (24, [0, 0, batch_json, batch_binary])
+        }
         sizes => (B3DM_HEADER_BYTES, sizes),
     };
     let mut from = header;

@@ -275,8 +275,7 @@ impl<'a> Names<'a> {
     fn primitive(&self, old: &Value) -> gltf::Primitive {
         let accessor = |v: &Value| self.at(&self.accessors, v.as_str());
         let named = |name: &str| if name == "TEXCOORD" { "TEXCOORD_0".to_string() } else { name.to_string() };
-        let attributes =
-            table(old, "attributes").filter_map(|(name, v)| Some((named(name), accessor(v)?))).collect();
+        let attributes = table(old, "attributes").filter_map(|(name, v)| Some((named(name), accessor(v)?))).collect();
         gltf::Primitive {
             attributes,
             indices: old.get("indices").and_then(accessor),

@@ -27,7 +27,8 @@ impl Server {
         let (address, query) = url.split_once('?').unwrap_or((url, ""));
         let Some((scheme, rest)) = address.split_once("://") else { return refuse("bad-uri", "is no URL") };
         let (authority, path) = rest.split_once('/').unwrap_or((rest, ""));
-        let path = if path.is_empty() || path.ends_with('/') { format!("{path}tileset.json") } else { path.to_string() };
+        let path =
+            if path.is_empty() || path.ends_with('/') { format!("{path}tileset.json") } else { path.to_string() };
         let config = ureq::Agent::config_builder().timeout_global(Some(TIMEOUT)).max_redirects(3).build();
         Ok(Self {
             agent: config.into(),

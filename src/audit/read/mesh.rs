@@ -3,11 +3,15 @@
 use std::cell::Cell;
 use std::ops::Range;
 use std::path::Path;
+#[cfg(feature = "draco")]
+use std::rc::Rc;
 use std::sync::Arc;
 
 use glam::{DMat4, DVec3, Vec2};
 
 use super::classes::{Columns, Source};
+#[cfg(feature = "draco")]
+use super::draco::Unpacked;
 use super::gltf1::{self, Decode};
 use super::refusal::{Refusal, of_gltf, refuse};
 use super::store::{Address, MAX_FILE_BYTES, Stores};
@@ -17,7 +21,7 @@ use crate::input::gltf::data::{Data, Files, shorten};
 use crate::input::gltf::material::Palette;
 use crate::input::gltf::primitive::{Builder, compact, moved};
 use crate::input::gltf::scene::{self, Instance};
-use crate::input::gltf::schema::{Primitive, Root};
+use crate::input::gltf::schema::{Draco, Int, Primitive, Root};
 use crate::input::gltf::{KNOWN_EXTENSIONS, MATERIAL_EXTENSIONS, container};
 use crate::report::Reporter;
 use crate::{Error, Result};
@@ -117,7 +121,16 @@ pub fn read(bytes: &[u8], rtc_center: DVec3, job: &Job<'_>) -> std::result::Resu
     let palette = Palette::new(&data, job.reporter);
     let builder = Builder { data: &data, palette, reporter: job.reporter, center: DVec3::ZERO, corners: 0 };
     let images = Images::new(&data, &find);
-    let mut reader = Reader { data: &data, builder, images, decode: &decode, job, local_from_scene, columns: Columns::default(), mesh: TileMesh::default() };
+    let mut reader = Reader {
+        data: &data,
+        builder,
+        images,
+        decode: &decode,
+        job,
+        local_from_scene,
+        columns: Columns::default(),
+        mesh: TileMesh::default(),
+    };
     reader.scene().map_err(|stop| match stop {
         Stop::Gltf(error) => of_gltf(error),
         Stop::Refused(refusal) => refusal,
@@ -134,7 +147,10 @@ fn check(root: &Root) -> std::result::Result<(), Refusal> {
     }
     for name in &root.extensions_required {
         if name == "KHR_draco_mesh_compression" {
-            return draco();
+            if cfg!(feature = "draco") {
+                continue;
+            }
+            return refuse_draco();
         }
         if !KNOWN_EXTENSIONS.contains(&name.as_str()) && !name.starts_with(MATERIAL_EXTENSIONS) {
             return refuse("required-extension", format!("requires the extension {:?}", shorten(name)));
@@ -143,8 +159,35 @@ fn check(root: &Root) -> std::result::Result<(), Refusal> {
     Ok(())
 }
 
-fn draco<T>() -> std::result::Result<T, Refusal> {
-    refuse("draco", "is compressed with KHR_draco_mesh_compression, which is not read (meshopt is)")
+fn refuse_draco<T>() -> std::result::Result<T, Refusal> {
+    refuse("draco", "is compressed with KHR_draco_mesh_compression; build with `--features draco` (meshopt is read)")
+}
+
+/// An attribute of a primitive, stored or decoded.
+enum Column<'a> {
+    Stored(Elements<'a>),
+    #[cfg(feature = "draco")]
+    Unpacked(Rc<Unpacked>, String),
+}
+
+impl Column<'_> {
+    /// The value at `vertex`, which is below the primitive's count.
+    fn get<const N: usize>(&self, vertex: u32) -> [f64; N] {
+        match self {
+            Self::Stored(elements) => elements.get(vertex),
+            #[cfg(feature = "draco")]
+            Self::Unpacked(unpacked, name) => unpacked.get(name, vertex).unwrap_or([0.0; N]),
+        }
+    }
+}
+
+/// A primitive's vertices and how they are joined.
+struct Shape<'a> {
+    faces: Vec<[u32; 3]>,
+    count: u64,
+    positions: Column<'a>,
+    #[cfg(feature = "draco")]
+    unpacked: Option<Rc<Unpacked>>,
 }
 
 /// The bytes of a file beside the content. Over all such files of a content the limit is that of one.
@@ -182,7 +225,7 @@ struct Reader<'a> {
     mesh: TileMesh,
 }
 
-impl Reader<'_> {
+impl<'a> Reader<'a> {
     fn scene(&mut self) -> std::result::Result<(), Stop> {
         let data = self.data;
         for instance in scene::instances(data, self.job.reporter)? {
@@ -195,7 +238,6 @@ impl Reader<'_> {
     }
 
     fn add(&mut self, primitive: &Primitive, instance: &Instance) -> std::result::Result<(), Stop> {
-        let data = self.data;
         // One that is skipped costs a little too, or it could be repeated for ever.
         self.builder.charge(1)?;
         let mode = primitive.mode.map_or(4, |mode| mode.0);
@@ -207,18 +249,15 @@ impl Reader<'_> {
             self.job.warn("skipped-primitive", "a primitive without POSITION or of an unknown mode was skipped");
             return Ok(());
         };
-        let positions = Elements::of(data, position, Use::Position)?;
-        if positions.is_virtual() && primitive.extensions.draco.is_some() {
-            return draco().map_err(Stop::Refused);
-        }
-        let faces = self.builder.faces(primitive, mode, &positions)?;
+        let shape = self.shape(primitive, mode, position)?;
+        let positions = &shape.positions;
         let local_from_mesh = self.local_from_scene * instance.scene_from_mesh;
         let dequantized = self.decode.get(&position.0).and_then(|m| <&[f64; 16]>::try_from(m.as_slice()).ok());
         let local_from_stored = match dequantized {
             Some(columns) => local_from_mesh * DMat4::from_cols_array(columns),
             None => local_from_mesh,
         };
-        let (used, mut kept) = compact(&faces);
+        let (used, mut kept) = compact(&shape.faces);
         let place = |&vertex: &u32| local_from_stored.transform_point3(positions.get(vertex).into());
         let first = self.mesh.positions.len();
         self.mesh.positions.extend(used.iter().map(place));
@@ -234,16 +273,69 @@ impl Reader<'_> {
         if local_from_stored.determinant() < 0.0 {
             kept.iter_mut().for_each(|face| face.swap(1, 2));
         }
-        let texture = self.texture(primitive, &used, first, positions.count)?;
-        self.label(primitive, &used, &kept, positions.count)?;
+        let texture = self.texture(primitive, &shape, &used, first)?;
+        self.label(primitive, &shape, &used, &kept)?;
         let faces_before = self.mesh.faces.len();
         self.mesh.faces.extend(kept.iter().map(|face| face.map(|vertex| vertex + first as u32)));
         self.mesh.parts.push(Part { faces: faces_before..self.mesh.faces.len(), texture });
         Ok(())
     }
 
+    fn shape(&mut self, primitive: &Primitive, mode: u64, position: Int) -> std::result::Result<Shape<'a>, Stop> {
+        let positions = Elements::of(self.data, position, Use::Position)?;
+        if let Some(packed) = primitive.extensions.draco.as_ref().filter(|_| positions.is_virtual()) {
+            return self.unpack(packed);
+        }
+        let count = positions.count;
+        let faces = self.builder.faces(primitive, mode, &positions)?;
+        Ok(Shape {
+            faces,
+            count,
+            positions: Column::Stored(positions),
+            #[cfg(feature = "draco")]
+            unpacked: None,
+        })
+    }
+
+    #[cfg(feature = "draco")]
+    fn unpack(&mut self, packed: &Draco) -> std::result::Result<Shape<'a>, Stop> {
+        let mut unpacked = super::draco::unpack(self.data, packed).map_err(Stop::Refused)?;
+        let faces = std::mem::take(&mut unpacked.faces);
+        // Instances decode again: each is charged for.
+        self.builder.charge(3 * faces.len() as u64 + u64::from(unpacked.points))?;
+        let unpacked = Rc::new(unpacked);
+        let positions = Column::Unpacked(unpacked.clone(), "POSITION".into());
+        Ok(Shape { faces, count: unpacked.points.into(), positions, unpacked: Some(unpacked) })
+    }
+
+    #[cfg(not(feature = "draco"))]
+    fn unpack(&mut self, _packed: &Draco) -> std::result::Result<Shape<'a>, Stop> {
+        refuse_draco().map_err(Stop::Refused)
+    }
+
+    fn attribute(
+        &self,
+        primitive: &Primitive,
+        shape: &Shape<'_>,
+        name: &str,
+        usage: Use,
+    ) -> Result<Option<Column<'a>>> {
+        #[cfg(feature = "draco")]
+        if let Some(unpacked) = &shape.unpacked {
+            let has = unpacked.points == 0 || unpacked.get::<1>(name, 0).is_some();
+            return Ok(has.then(|| Column::Unpacked(unpacked.clone(), name.into())));
+        }
+        Ok(self.builder.attribute(primitive, name, usage, shape.count)?.map(Column::Stored))
+    }
+
     /// The image of a primitive, and UVs of its vertices, which begin at `first`.
-    fn texture(&mut self, primitive: &Primitive, used: &[u32], first: usize, count: u64) -> Result<Option<usize>> {
+    fn texture(
+        &mut self,
+        primitive: &Primitive,
+        shape: &Shape<'_>,
+        used: &[u32],
+        first: usize,
+    ) -> Result<Option<usize>> {
         let paint = self.builder.palette.paint(primitive.material)?;
         let (_, info) = self.builder.palette.base(primitive.material)?;
         let Some((set, info)) = paint.uv_set.zip(info) else { return Ok(None) };
@@ -255,7 +347,7 @@ impl Reader<'_> {
             }
         };
         let name = format!("TEXCOORD_{set}");
-        let Some(uvs) = self.builder.attribute(primitive, &name, Use::Uv, count)? else {
+        let Some(uvs) = self.attribute(primitive, shape, &name, Use::Uv)? else {
             self.job.warn("missing-uv", "a textured primitive has no texture coordinates");
             return Ok(texture);
         };
@@ -276,7 +368,7 @@ impl Reader<'_> {
     }
 
     /// Classes of the faces that are to be added.
-    fn label(&mut self, primitive: &Primitive, used: &[u32], kept: &[[u32; 3]], count: u64) -> Result<()> {
+    fn label(&mut self, primitive: &Primitive, shape: &Shape<'_>, used: &[u32], kept: &[[u32; 3]]) -> Result<()> {
         let faces = self.mesh.faces.len();
         let pad = |of_face: &mut Vec<u16>, to: usize| of_face.resize(to, FaceClasses::NONE);
         let Some(source) = Source::of(self.data, &mut self.columns, primitive) else {
@@ -286,8 +378,8 @@ impl Reader<'_> {
             return Ok(());
         };
         let ids = match &source.attribute {
-            Some(name) => match self.builder.attribute(primitive, name, Use::FeatureId, count)? {
-                Some(elements) => used.iter().map(|&vertex| elements.get::<1>(vertex)[0] as u32).collect(),
+            Some(name) => match self.attribute(primitive, shape, name, Use::FeatureId)? {
+                Some(column) => used.iter().map(|&vertex| column.get::<1>(vertex)[0] as u32).collect(),
                 None => {
                     self.job.warn("missing-feature-ids", "EXT_mesh_features names an attribute that is not there");
                     return Ok(());

@@ -21,9 +21,9 @@ use std::sync::Arc;
 use glam::{DMat4, DVec3};
 use serde_json::Value;
 
-use self::store::{Address, Stores};
 pub use self::mesh::{FaceClasses, Part, Texture, TileMesh};
 pub use self::refusal::Refusal;
+use self::store::{Address, Stores};
 pub use self::volume::Volume;
 use crate::geo::Geodetic;
 use crate::geo::ellipsoid::{A_M, ecef_from_enu, geodetic_from_ecef};
@@ -33,6 +33,8 @@ use crate::{Error, Result};
 mod archive;
 mod classes;
 mod content;
+#[cfg(feature = "draco")]
+mod draco;
 mod gltf1;
 #[cfg(feature = "http")]
 mod http;

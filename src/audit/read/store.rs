@@ -118,7 +118,9 @@ impl Stores {
             return Ok(Address { store: base.store, path: server.resolve(&base.path, uri)? });
         }
         let plain = uri.split(['?', '#']).next().unwrap_or_default();
-        let Some(plain) = percent_decode(plain) else { return refuse("bad-uri", "a URI is not UTF-8 after %-decoding") };
+        let Some(plain) = percent_decode(plain) else {
+            return refuse("bad-uri", "a URI is not UTF-8 after %-decoding");
+        };
         if has_scheme(&plain) || plain.starts_with(['/', '\\']) {
             return refuse("outside", format!("the URI {:?} does not lead into the tileset", shorten(uri)));
         }
@@ -212,7 +214,9 @@ pub fn read_limited(reader: impl Read, name: &str) -> std::result::Result<Vec<u8
 
 fn gunzip(bytes: &[u8]) -> std::result::Result<Vec<u8>, Refusal> {
     let unpacked = read_limited(flate2::read::MultiGzDecoder::new(bytes), "the gzipped file");
-    unpacked.map_err(|refusal| if refusal.code == "unreadable" { Refusal { code: "broken-gzip", ..refusal } } else { refusal })
+    unpacked.map_err(
+        |refusal| if refusal.code == "unreadable" { Refusal { code: "broken-gzip", ..refusal } } else { refusal },
+    )
 }
 
 /// True for `http:`, `file:`, `C:` and the like.
@@ -257,8 +261,14 @@ mod tests {
         std::fs::write(folder.join("tileset.json"), b"{}").unwrap();
         let (stores, root) = Stores::open(&folder).unwrap();
         let base = stores.resolve(&root, "a/tileset.json").unwrap();
-        for uri in ["../../secret.glb", "/etc/passwd", "file:///etc/passwd", "C:\\x.glb", "..\\..\\secret.glb", "%2e%2e/../secret.glb"]
-        {
+        for uri in [
+            "../../secret.glb",
+            "/etc/passwd",
+            "file:///etc/passwd",
+            "C:\\x.glb",
+            "..\\..\\secret.glb",
+            "%2e%2e/../secret.glb",
+        ] {
             assert_eq!(stores.resolve(&base, uri).unwrap_err().code, "outside", "{uri}");
         }
         let found = stores.resolve(&base, "../b%20c.glb?v=1#x").unwrap();

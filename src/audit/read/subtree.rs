@@ -34,9 +34,10 @@ impl Bits {
     pub fn at(&self, i: u64) -> bool {
         match self {
             Self::Constant(all) => *all,
-            Self::Stream(bytes) => {
-                usize::try_from(i / 8).ok().and_then(|byte| bytes.get(byte)).is_some_and(|byte| byte >> (i % 8) & 1 == 1)
-            }
+            Self::Stream(bytes) => usize::try_from(i / 8)
+                .ok()
+                .and_then(|byte| bytes.get(byte))
+                .is_some_and(|byte| byte >> (i % 8) & 1 == 1),
         }
     }
 }
@@ -57,7 +58,8 @@ impl Subtree {
             Some(children) => parts.bits(children, leaves)?,
             None => Bits::Constant(false),
         };
-        let multiple = wire.extensions.as_ref().and_then(|e| e.multiple_contents.as_ref()?.content_availability.as_ref());
+        let multiple =
+            wire.extensions.as_ref().and_then(|e| e.multiple_contents.as_ref()?.content_availability.as_ref());
         let contents: &[Availability] = match wire.content_availability.as_ref().or(multiple) {
             Some(OneOrMany::One(one)) => std::slice::from_ref(one),
             Some(OneOrMany::Many(many)) => many,

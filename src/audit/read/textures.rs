@@ -62,7 +62,9 @@ fn measure(bytes: &[u8]) -> (Option<[u32; 2]>, &'static str) {
         let word = |at: usize| bytes.get(at..at + 4)?.try_into().ok().map(u32::from_le_bytes);
         return (word(20).zip(word(24)).map(|(width, height)| [width, height.max(1)]), "ktx2");
     }
-    let Ok(reader) = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format() else { return (None, "unknown") };
+    let Ok(reader) = image::ImageReader::new(Cursor::new(bytes)).with_guessed_format() else {
+        return (None, "unknown");
+    };
     let format = match reader.format() {
         Some(image::ImageFormat::Jpeg) => "jpeg",
         Some(image::ImageFormat::Png) => "png",

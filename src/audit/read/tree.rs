@@ -57,7 +57,11 @@ pub struct Walker<'a> {
 
 impl<'a> Walker<'a> {
     /// Reads the tileset at `start` and all it refers to.
-    pub fn walk(stores: &'a mut Stores, start: &Address, reporter: &'a Reporter) -> Result<(Vec<Tile>, Vec<SourceFile>)> {
+    pub fn walk(
+        stores: &'a mut Stores,
+        start: &Address,
+        reporter: &'a Reporter,
+    ) -> Result<(Vec<Tile>, Vec<SourceFile>)> {
         let shown = stores.shown().to_path_buf();
         let mut walker =
             Self { stores, tiles: Vec::new(), files: Vec::new(), work: 0, reporter, bytes: 0, steps: Vec::new() };
@@ -65,14 +69,16 @@ impl<'a> Walker<'a> {
         while let Some(step) = walker.steps.pop() {
             reporter.check()?;
             if walker.is_full() {
-                let what = format!("the tileset has more than {MAX_TILES} tiles; the rest was left out");
-                reporter.warn("too-many-tiles", &shown, what);
                 break;
             }
             match step {
                 Step::Tile { wire, file, parent, way } => walker.add(*wire, file, parent, way),
                 Step::External { at, parent } => walker.enter(&at, parent),
             }
+        }
+        if walker.is_full() {
+            let what = format!("the tileset has {MAX_TILES} tiles or more; the rest was left out");
+            reporter.warn("too-many-tiles", &shown, what);
         }
         Ok((walker.tiles, walker.files))
     }
@@ -165,10 +171,11 @@ impl<'a> Walker<'a> {
         let mut refused = Vec::new();
         let root_from_parent = above.map_or(DMat4::IDENTITY, |p| p.transform);
         let own = wire.transform.as_deref().map(own_transform).unwrap_or(Ok(DMat4::IDENTITY));
-        let transform = root_from_parent * own.unwrap_or_else(|refusal| {
-            refused.push(("bad-transform", refusal));
-            DMat4::IDENTITY
-        });
+        let transform = root_from_parent
+            * own.unwrap_or_else(|refusal| {
+                refused.push(("bad-transform", refusal));
+                DMat4::IDENTITY
+            });
         let refine = match wire.refine.as_deref() {
             Some(text) if text.eq_ignore_ascii_case("ADD") => Refine::Add,
             Some(text) if text.eq_ignore_ascii_case("REPLACE") => Refine::Replace,
@@ -205,8 +212,12 @@ impl<'a> Walker<'a> {
 
         let extensions = wire.extensions.unwrap_or_default();
         let multiple = extensions.multiple_contents.and_then(|m| m.contents);
-        let contents: Vec<json::Content> =
-            wire.content.into_iter().chain(wire.contents.into_iter().flatten()).chain(multiple.into_iter().flatten()).collect();
+        let contents: Vec<json::Content> = wire
+            .content
+            .into_iter()
+            .chain(wire.contents.into_iter().flatten())
+            .chain(multiple.into_iter().flatten())
+            .collect();
         let implicit = wire.implicit_tiling.or(extensions.implicit_tiling);
         let children = wire.children.unwrap_or_default();
         let children = children.into_iter().enumerate().rev();
@@ -244,7 +255,13 @@ impl<'a> Walker<'a> {
     }
 
     /// Adds a tile of an implicit tree.
-    pub fn add_implicit(&mut self, parent: usize, volume: &json::BoundingVolume, stated: f64, place: [u32; 4]) -> usize {
+    pub fn add_implicit(
+        &mut self,
+        parent: usize,
+        volume: &json::BoundingVolume,
+        stated: f64,
+        place: [u32; 4],
+    ) -> usize {
         let above = &self.tiles[parent];
         let mut refused = Vec::new();
         let transform = above.transform;
@@ -287,8 +304,7 @@ impl<'a> Walker<'a> {
 
     /// True for tilesets, by name, or by a look inside where the name says nothing.
     fn is_tileset(&self, at: &Address) -> bool {
-        const CONTENTS: [&str; 10] =
-            ["b3dm", "i3dm", "pnts", "cmpt", "glb", "gltf", "vctr", "geom", "geojson", "bin"];
+        const CONTENTS: [&str; 10] = ["b3dm", "i3dm", "pnts", "cmpt", "glb", "gltf", "vctr", "geom", "geojson", "bin"];
         let path = at.path.split('?').next().unwrap_or_default();
         if has_ending(path, "json") || has_ending(path, "3tz") {
             return true;
@@ -303,7 +319,10 @@ impl<'a> Walker<'a> {
 }
 
 fn has_ending(path: &str, ending: &str) -> bool {
-    path.split('?').next().and_then(|path| path.rsplit_once('.')).is_some_and(|(_, found)| found.eq_ignore_ascii_case(ending))
+    path.split('?')
+        .next()
+        .and_then(|path| path.rsplit_once('.'))
+        .is_some_and(|(_, found)| found.eq_ignore_ascii_case(ending))
 }
 
 fn own_transform(numbers: &[f64]) -> std::result::Result<DMat4, Refusal> {

@@ -50,7 +50,9 @@ impl Volume {
             let r: &[f64; 6] =
                 r.as_slice().try_into().map_err(|_| bad(format!("a region has {} numbers, not 6", r.len())))?;
             let [west, south, east, north, low, high] = *r;
-            let sound = [west, east].iter().all(|v| v.abs() <= TAU) && south <= north && south.abs().max(north.abs()) <= TAU / 4.0 + 1e-9;
+            let sound = [west, east].iter().all(|v| v.abs() <= TAU)
+                && south <= north
+                && south.abs().max(north.abs()) <= TAU / 4.0 + 1e-9;
             if !sound || low > high {
                 return refuse("bad-volume", format!("the region {r:?} is none"));
             }

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use rooftile::audit::read::{self, Tileset};
+use rooftile::audit::structure::{self, StructureConfig};
 use rooftile::report::Reporter;
 
 use crate::common::{data, town};
@@ -141,4 +142,63 @@ fn our_own_tileset_is_read_whole_with_its_classes() {
     let classes = meshes[0].classes.as_ref().expect("classes");
     assert!(classes.names.iter().any(|name| name == "roof"), "{:?}", classes.names);
     assert!(classes.of_face.iter().all(|&class| usize::from(class) < classes.names.len()));
+    let found = structure::measure(&tileset, &StructureConfig::default(), &Reporter::new(true)).expect("not cancelled");
+    assert_eq!(found.findings, []);
+    assert!(found.levels.windows(2).all(|pair| pair[0].error_m[1] > pair[1].error_m[1]), "{:?}", found.levels);
+}
+
+/// Every tileset below the folder that `ROOFTILE_TILESETS` names; at least 19 of 20 contents have to be read.
+#[test]
+fn tilesets_named_by_the_environment_are_read() {
+    let Some(folder) = std::env::var_os("ROOFTILE_TILESETS").map(PathBuf::from) else {
+        eprintln!("SKIPPED: ROOFTILE_TILESETS names no folder of tilesets");
+        return;
+    };
+    let mut found = Vec::new();
+    files(&folder, &mut found);
+    let is_root = |path: &PathBuf| {
+        path.file_name().is_some_and(|n| n == "tileset.json") || path.extension().is_some_and(|e| e == "3tz")
+    };
+    found.retain(is_root);
+    found.sort();
+    let (mut contents, mut refused) = (0, 0);
+    for path in &found {
+        let reporter = Reporter::new(true);
+        let tileset = match read::open(path) {
+            Ok(tileset) => tileset,
+            Err(error) => {
+                eprintln!("{}: {error}", path.display());
+                continue;
+            }
+        };
+        let begun = Instant::now();
+        let found = structure::measure(&tileset, &StructureConfig::default(), &reporter).expect("not cancelled");
+        let has_mesh = tileset.tiles.iter().filter(|tile| tile.has_mesh()).count();
+        let mut reasons: BTreeMap<&str, usize> = BTreeMap::new();
+        found
+            .tiles
+            .iter()
+            .filter_map(|figures| figures.refused)
+            .for_each(|code| *reasons.entry(code).or_default() += 1);
+        let mut findings: BTreeMap<&str, (usize, f64)> = BTreeMap::new();
+        for finding in &found.findings {
+            let entry = findings.entry(finding.code).or_default();
+            *entry = (entry.0 + 1, entry.1.max(finding.amount));
+        }
+        contents += has_mesh;
+        refused += reasons.values().sum::<usize>();
+        eprintln!(
+            "{}: {} tiles, {has_mesh} with content, refused {reasons:?}, findings {findings:?}, {:?}",
+            path.display(),
+            tileset.tiles.len(),
+            begun.elapsed()
+        );
+        for warning in tileset.warnings.iter().chain(&reporter.warnings()) {
+            eprintln!("    {} × {}: {}: {}", warning.count, warning.code, warning.first_path.display(), warning.first);
+        }
+        for level in &found.levels {
+            eprintln!("    {level:?}");
+        }
+    }
+    assert!(refused * 20 <= contents, "{refused} of {contents} tiles were refused");
 }

@@ -13,7 +13,9 @@
 //! walk, no allocation on a file's word; no byte from outside of the folder, archive or origin named.
 //!
 //! # Limits
-//! i3dm, pnts, vctr and geom are refused; batch tables, S2 volumes and metadata of implicit tiles are not read.
+//! i3dm, pnts, vctr and geom are refused, and Draco without the feature `draco`; batch tables, S2 volumes, metadata of
+//! implicit tiles and `EXT_mesh_gpu_instancing` are not read. Files outside of the folder named are refused even where a
+//! tileset refers to them: name a folder that holds all.
 
 use std::path::Path;
 use std::sync::Arc;

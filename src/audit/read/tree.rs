@@ -292,7 +292,7 @@ impl<'a> Walker<'a> {
         let transform = self.tiles[tile].transform;
         let volume = volume.and_then(|volume| volume_of(Some(volume), &transform, &mut refused));
         refused.iter().for_each(|(code, refusal)| self.warn(code, tile, refusal));
-        let is_tileset = at.as_ref().is_ok_and(|at| self.is_tileset(at));
+        let is_tileset = at.as_ref().map_or_else(|_| is_named_tileset(&uri), |at| self.is_tileset(at));
         if let (true, Ok(at)) = (is_tileset, &at) {
             self.steps.push(Step::External { at: at.clone(), parent: tile });
         }
@@ -306,7 +306,7 @@ impl<'a> Walker<'a> {
     fn is_tileset(&self, at: &Address) -> bool {
         const CONTENTS: [&str; 10] = ["b3dm", "i3dm", "pnts", "cmpt", "glb", "gltf", "vctr", "geom", "geojson", "bin"];
         let path = at.path.split('?').next().unwrap_or_default();
-        if has_ending(path, "json") || has_ending(path, "3tz") {
+        if is_named_tileset(path) {
             return true;
         }
         if CONTENTS.iter().any(|ending| has_ending(path, ending)) || !self.stores.is_local(at) {
@@ -316,6 +316,10 @@ impl<'a> Walker<'a> {
         let text = bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(&bytes).trim_ascii_start();
         text.starts_with(b"{") && memchr::memmem::find(text, b"geometricError").is_some()
     }
+}
+
+fn is_named_tileset(uri: &str) -> bool {
+    has_ending(uri, "json") || has_ending(uri, "3tz")
 }
 
 fn has_ending(path: &str, ending: &str) -> bool {

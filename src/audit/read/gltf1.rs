@@ -41,7 +41,10 @@ pub fn read(bytes: &[u8]) -> Result<Option<Upgraded<'_>>, Refusal> {
     Ok(Some(Upgraded { root, decode: names.decode, bin }))
 }
 
-fn split(bytes: &[u8]) -> Result<Option<(&[u8], Option<&[u8]>)>, Refusal> {
+/// JSON and body of a GLB.
+type Chunks<'a> = (&'a [u8], Option<&'a [u8]>);
+
+fn split(bytes: &[u8]) -> Result<Option<Chunks<'_>>, Refusal> {
     let word = |at: usize| bytes.get(at..at + 4).and_then(|b| b.try_into().ok()).map(u32::from_le_bytes);
     if !bytes.starts_with(b"glTF") || word(4) != Some(1) {
         return Ok(None);

@@ -31,7 +31,7 @@ fn body() -> Vec<u8> {
     bytes.extend(floats(UVS.as_flattened()));
     bytes.extend([0u16, 1, 2, 0].iter().flat_map(|i| i.to_le_bytes()));
     bytes.extend(png());
-    while bytes.len() % 4 != 0 {
+    while !bytes.len().is_multiple_of(4) {
         bytes.push(0);
     }
     bytes
@@ -217,7 +217,7 @@ fn a_composite_gives_what_it_holds_and_a_lone_point_cloud_is_refused() {
     let meshes = load("a.cmpt", cmpt(&[inner, b3dm(&glb(&gltf2(), &body()), "")])).unwrap();
     assert_eq!(meshes.len(), 2);
     meshes.iter().for_each(is_the_triangle);
-    assert_eq!(load("a.cmpt", cmpt(&[points.clone()])).unwrap_err().code, "pnts");
+    assert_eq!(load("a.cmpt", cmpt(std::slice::from_ref(&points))).unwrap_err().code, "pnts");
     assert_eq!(load("a.pnts", points).unwrap_err().code, "pnts");
     let deep = (0..20).fold(b3dm(&glb1(), ""), |inner, _| cmpt(&[inner]));
     assert_eq!(load("a.cmpt", deep).unwrap_err().code, "broken-cmpt");

@@ -8,6 +8,7 @@
 //! | `determinism` | same input, same bytes, for any number of threads |
 //! | `tileset` | what a published tileset promises, measured with readers and oracles of the tests' own |
 //! | `formats` | hundreds of odd files of other projects: no panic, no hang, no memory |
+//! | `tilesets` | tilesets of others, valid and invalid: read, or refused by a reason |
 //! | `layers` | which module may know which |
 //! | `real` | a real scan, from end to end |
 //!
@@ -23,3 +24,4 @@ mod formats;
 mod layers;
 mod real;
 mod tileset;
+mod tilesets;

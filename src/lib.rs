@@ -10,6 +10,7 @@
 //! `input` is the only module that sees untrusted bytes and `mesh` the only gate behind it: past the gate the
 //! stages cannot fail. `serve` and `inspect` read published files only and know nothing of the builder.
 
+pub mod audit;
 pub mod classes;
 pub mod cli;
 pub mod collapse;
@@ -21,6 +22,7 @@ pub mod geo;
 pub mod ids;
 pub mod input;
 pub mod inspect;
+pub mod measure;
 pub mod mesh;
 pub mod pipeline;
 pub mod planes;

@@ -169,11 +169,11 @@ fn georeference(found: &Found) -> Result<Georeference> {
 /// Labels of the input itself, or read from a file.
 pub(super) fn label_source(from: &str, found: &Found, allow_outside: bool, reporter: &Reporter) -> Result<LabelSource> {
     if from == "input" {
-        return Ok(LabelSource::Input(input::labels::names(&found.files)?));
+        return Ok(LabelSource::Input(input::label_names::names(&found.files)?));
     }
     let read = InputConfig { allow_outside, root: None };
     let (source, found) = input::read(&[PathBuf::from(from)], &read, reporter)?;
-    Ok(LabelSource::File(Box::new(source), input::labels::names(&found.files)?))
+    Ok(LabelSource::File(Box::new(source), input::label_names::names(&found.files)?))
 }
 
 fn list_features(json: bool) -> Result<Outcome> {

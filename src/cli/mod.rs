@@ -4,6 +4,7 @@
 //! [`Error::exit_code`], and 1 for findings.
 
 mod build;
+mod compare;
 mod demo;
 mod inspect;
 mod label;
@@ -53,6 +54,8 @@ enum Verb {
     Serve(serve::Args),
     /// Say in numbers what is in an input or a tileset, and what is wrong with a tileset.
     Inspect(inspect::Args),
+    /// Measure how far simplified meshes are from their original, in all and per class.
+    Compare(compare::Args),
 }
 
 /// Whether a verb found something to complain of.
@@ -99,6 +102,7 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Verb::Label(args) => label::run(&args, json, &reporter),
         Verb::Serve(args) => serve::run(&args, &reporter),
         Verb::Inspect(args) => inspect::run(&args, json, &reporter),
+        Verb::Compare(args) => compare::run(&args, json, &reporter),
     }
 }
 

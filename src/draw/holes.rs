@@ -136,7 +136,7 @@ fn connected(missing: &[bool], reference: &Seen, [width, height]: [usize; 2]) ->
         }
         holes.push(hole);
     }
-    holes.sort_by(|a, b| b.px.cmp(&a.px));
+    holes.sort_by_key(|hole| std::cmp::Reverse(hole.px));
     holes
 }
 

@@ -7,7 +7,7 @@ use crate::classes::truth::{Mask, mask_among, mask_of_name};
 use crate::geo::Frame;
 use crate::geo::bvh::Bvh;
 use crate::ids::ClassScheme;
-use crate::input::labels::Names;
+use crate::input::label_names::Names;
 use crate::input::{Material, Source};
 use crate::mesh::Mesh;
 use crate::{Error, Result};

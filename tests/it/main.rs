@@ -3,11 +3,13 @@
 //! | module | asks |
 //! |---|---|
 //! | `cli` | flags, exit codes, what is left on disk, signals |
+//! | `compare` | figures of known shapes, labels, refusals |
 //! | `bad_input` | every kind of broken input ends in one sentence and the designed exit code |
 //! | `determinism` | same input, same bytes, for any number of threads |
 //! | `tileset` | what a published tileset promises, measured with readers and oracles of the tests' own |
 //! | `formats` | hundreds of odd files of other projects: no panic, no hang, no memory |
 //! | `label` | labels, their truth, schemes of other classes, tuning, figures |
+//! | `tilesets` | tilesets of others, valid and invalid: read, or refused by a reason |
 //! | `layers` | which module may know which |
 //! | `real` | a real scan, from end to end |
 //!
@@ -17,9 +19,11 @@
 mod bad_input;
 mod cli;
 mod common;
+mod compare;
 mod determinism;
 mod formats;
 mod label;
 mod layers;
 mod real;
 mod tileset;
+mod tilesets;

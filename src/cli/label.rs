@@ -15,7 +15,7 @@ use crate::config::Config;
 use crate::geo::Georeference;
 use crate::input::discover::Found;
 use crate::input::{self, InputConfig, Source};
-use crate::pipeline::labels::{LabelSource, masks};
+use crate::pipeline::given::{LabelSource, masks};
 use crate::pipeline::{Front, figures};
 use crate::report::Reporter;
 use crate::write::ply::{Column, Ply};

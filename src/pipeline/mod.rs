@@ -25,11 +25,11 @@ use crate::{Error, Result};
 
 pub mod figures;
 pub mod front;
-pub mod labels;
+pub mod given;
 pub mod report;
 
 pub use front::Front;
-pub use labels::LabelSource;
+pub use given::LabelSource;
 pub use report::BuildReport;
 use report::{ClassShare, LevelRow, level_rows, shares};
 
@@ -187,8 +187,8 @@ fn classify(
     let scene = classes::Scene { mesh, planes: &planes, face_colors: &face_colors };
     let mut classes = classes::classify(scene, &config.classes, &config.classify);
     if let Some(from) = &job.labels {
-        let given = labels::masks(from, mesh, planes.median_edge_m, frame, &config.classes)?;
-        classes = classes::truth::overridden(classes, &given);
+        let masks = given::masks(from, mesh, planes.median_edge_m, frame, &config.classes)?;
+        classes = classes::truth::overridden(classes, &masks);
     }
     let shares = shares(mesh, &classes);
     stage.finish(share_line(&shares));

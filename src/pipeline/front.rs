@@ -2,16 +2,17 @@
 
 use std::path::PathBuf;
 
-use crate::Result;
+use super::report::{ClassShare, shares};
 use crate::classes::nine::{Measures, Scene};
 use crate::classes::{Classes, Ground, classify_measured, looks_at_colors};
 use crate::config::Config;
-use crate::geo::{Frame, Georeference};
+use crate::geo::{Aabb, Frame, Georeference};
 use crate::input::Source;
-use crate::mesh::{GateReport, Mesh};
+use crate::mesh::{self, GateReport, Mesh};
 use crate::planes::{self, Planes};
 use crate::report::Reporter;
 use crate::texture::{Images, Surface, mean_colors};
+use crate::{Error, Result};
 
 /// A mesh and its planes, ready to be classified.
 pub struct Front {
@@ -34,8 +35,8 @@ impl Front {
     /// A source without surface or outside its coordinate system, or a wish to stop.
     pub fn of(source: Source, georeference: &Georeference, config: &Config, reporter: &Reporter) -> Result<Self> {
         let refs = source.images.clone();
-        let (source, frame) = super::place(source, georeference, reporter)?;
-        let (mesh, gate) = super::weld(source, config, reporter)?;
+        let (source, frame) = place(source, georeference, reporter)?;
+        let (mesh, gate) = weld(source, config, reporter)?;
         reporter.check()?;
         let stage = reporter.stage("planes", 0);
         let planes = planes::grow(&mesh, &config.planes);
@@ -64,7 +65,7 @@ impl Front {
         let stage = reporter.stage("classes", 0);
         warn(config, reporter);
         let classes = classify_measured(self.scene(), ground, measures, &config.classes, &config.classify);
-        stage.finish(super::share_line(&super::shares(&self.mesh, &classes)));
+        stage.finish(share_line(&shares(&self.mesh, &classes)));
         classes
     }
 }
@@ -83,4 +84,60 @@ pub(super) fn colors(mesh: &Mesh, images: &Images, config: &Config) -> Vec<[u8; 
     } else {
         Vec::new()
     }
+}
+
+/// Largest extent of a model, metres: up to here differences of grid points are exact, see [`mesh::GRID_PER_M`].
+const MOST_EXTENT_M: f64 = 8e6;
+
+/// Takes positions from source coordinates to the local frame.
+pub(super) fn place(mut source: Source, georeference: &Georeference, reporter: &Reporter) -> Result<(Source, Frame)> {
+    let stage = reporter.stage("frame", 0);
+    let bounds = surface_bounds(&source);
+    let path = source.parts.first().map(|p| p.path.clone()).unwrap_or_default();
+    if bounds.is_empty() {
+        return Err(Error::input(path, "no vertex has finite coordinates; nothing to build"));
+    }
+    let anchor = bounds.center().with_z(bounds.min.z).round();
+    let frame = Frame::of(georeference.clone(), anchor)?;
+    frame.warn(reporter, &path);
+    for part in &mut source.parts {
+        frame.locals_from_sources(&part.path, &mut part.positions)?;
+    }
+    let size = surface_bounds(&source).size();
+    if size.max_element() > MOST_EXTENT_M {
+        let what = format!(
+            "the model is {:.1e} m wide, and up to {MOST_EXTENT_M:.0e} m can be placed; look for stray vertices between \
+             {} and {}",
+            size.max_element(),
+            bounds.min,
+            bounds.max
+        );
+        return Err(Error::input(path, what));
+    }
+    let size = bounds.size();
+    stage.finish(format!("{:.0} × {:.0} × {:.0} units, {}", size.x, size.y, size.z, frame.describe()));
+    Ok((source, frame))
+}
+
+/// Of the surface alone: a stray vertex at (0, 0, 0) must not draw the frame away from its model.
+fn surface_bounds(source: &Source) -> Aabb {
+    let corners = source.parts.iter().flat_map(|p| p.faces.iter().flatten().map(|&v| p.positions[v as usize]));
+    Aabb::of(corners.filter(|p| p.is_finite()))
+}
+
+pub(super) fn weld(source: Source, config: &Config, reporter: &Reporter) -> Result<(Mesh, GateReport)> {
+    let stage = reporter.stage("mesh", 0);
+    let (mesh, gate) = mesh::gate(source, &config.gate, reporter)?;
+    let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite, moved_m } = gate;
+    stage.finish(format!(
+        "{vertices_in} → {vertices} vertices, {faces_in} → {faces} triangles ({degenerate} degenerate, {duplicate} duplicate, {not_finite} not finite), moved by up to {:.1} mm", 1e3 * moved_m
+    ));
+    Ok((mesh, gate))
+}
+
+/// Shares of the area, for people.
+pub(super) fn share_line(shares: &[ClassShare]) -> String {
+    let total: f64 = shares.iter().map(|s| s.area_m2).sum();
+    let parts = shares.iter().map(|s| format!("{} {:.0} %", s.class, 100.0 * s.area_m2 / total));
+    parts.collect::<Vec<_>>().join(", ")
 }

@@ -7,12 +7,13 @@ use rayon::prelude::*;
 use serde::Serialize;
 use serde_json::json;
 
+use crate::Result;
 use crate::classes::{self, Classes, Confusion};
 use crate::config::Config;
 use crate::geo::{Aabb, Frame, FrameSummary, Georeference};
 use crate::ids::ClassScheme;
 use crate::input::Source;
-use crate::mesh::{self, GateReport, Mesh};
+use crate::mesh::{GateReport, Mesh};
 use crate::planes;
 use crate::report::Reporter;
 use crate::texture::{Images, Surface};
@@ -21,7 +22,6 @@ use crate::tiles::levels::Tile;
 use crate::tiles::{Partition, TileTree};
 use crate::write::tileset::bytes as tileset_bytes;
 use crate::write::{self, About, ClassError, GENERATOR, GlbOptions, Output, TileEntry};
-use crate::{Error, Result};
 
 pub mod figures;
 pub mod front;
@@ -29,6 +29,7 @@ pub mod given;
 pub mod report;
 
 pub use front::Front;
+use front::{place, share_line, weld};
 pub use given::LabelSource;
 pub use report::BuildReport;
 use report::{ClassShare, LevelRow, level_rows, shares};
@@ -120,55 +121,6 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
     })
 }
 
-/// Largest extent of a model, metres: up to here differences of grid points are exact, see [`mesh::GRID_PER_M`].
-const MOST_EXTENT_M: f64 = 8e6;
-
-/// Takes positions from source coordinates to the local frame.
-fn place(mut source: Source, georeference: &Georeference, reporter: &Reporter) -> Result<(Source, Frame)> {
-    let stage = reporter.stage("frame", 0);
-    let bounds = surface_bounds(&source);
-    let path = source.parts.first().map(|p| p.path.clone()).unwrap_or_default();
-    if bounds.is_empty() {
-        return Err(Error::input(path, "no vertex has finite coordinates; nothing to build"));
-    }
-    let anchor = bounds.center().with_z(bounds.min.z).round();
-    let frame = Frame::of(georeference.clone(), anchor)?;
-    frame.warn(reporter, &path);
-    for part in &mut source.parts {
-        frame.locals_from_sources(&part.path, &mut part.positions)?;
-    }
-    let size = surface_bounds(&source).size();
-    if size.max_element() > MOST_EXTENT_M {
-        let what = format!(
-            "the model is {:.1e} m wide, and up to {MOST_EXTENT_M:.0e} m can be placed; look for stray vertices between \
-             {} and {}",
-            size.max_element(),
-            bounds.min,
-            bounds.max
-        );
-        return Err(Error::input(path, what));
-    }
-    let size = bounds.size();
-    stage.finish(format!("{:.0} × {:.0} × {:.0} units, {}", size.x, size.y, size.z, frame.describe()));
-    Ok((source, frame))
-}
-
-/// Of the surface alone: a stray vertex at (0, 0, 0) must not draw the frame away from its model.
-fn surface_bounds(source: &Source) -> Aabb {
-    let corners = source.parts.iter().flat_map(|p| p.faces.iter().flatten().map(|&v| p.positions[v as usize]));
-    Aabb::of(corners.filter(|p| p.is_finite()))
-}
-
-fn weld(source: Source, config: &Config, reporter: &Reporter) -> Result<(Mesh, GateReport)> {
-    let stage = reporter.stage("mesh", 0);
-    let (mesh, gate) = mesh::gate(source, &config.gate, reporter)?;
-    let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite, moved_m } = gate;
-    stage.finish(format!(
-        "{vertices_in} → {vertices} vertices, {faces_in} → {faces} triangles ({degenerate} degenerate, {duplicate} duplicate, {not_finite} not finite), moved by up to {:.1} mm", 1e3 * moved_m
-    ));
-    Ok((mesh, gate))
-}
-
 fn classify(
     mesh: &Mesh,
     images: &Images,
@@ -194,13 +146,6 @@ fn classify(
     stage.finish(share_line(&shares));
     reporter.check()?;
     Ok((classes, planes.median_edge_m, shares))
-}
-
-/// Shares of the area, for people.
-fn share_line(shares: &[ClassShare]) -> String {
-    let total: f64 = shares.iter().map(|s| s.area_m2).sum();
-    let parts = shares.iter().map(|s| format!("{} {:.0} %", s.class, 100.0 * s.area_m2 / total));
-    parts.collect::<Vec<_>>().join(", ")
 }
 
 /// Classes against the labels of the source, base classes by number, weighted by area.

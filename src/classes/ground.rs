@@ -15,7 +15,7 @@
 //! # References
 //! Zhang et al., A progressive morphological filter for removing nonground measurements, 2003
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::ClassesConfig;
 use super::raster::{extreme, fill, gradient, higher, lower, mean, neighbourhood};
@@ -36,6 +36,8 @@ const PIT_DEPTH_M: f32 = 1.5;
 const PIT_AREA_M2: f64 = 12.0;
 /// Walls at least this tall mark the ground with their feet.
 const WALL_HEIGHT_M: f64 = 2.5;
+/// z of the normal of the least upright wall: 12° off the vertical.
+const UPRIGHT: f64 = 0.2;
 /// Samples a single face may leave in the grid: bounds the time for huge faces.
 const MAX_SAMPLES: f64 = 4096.0;
 /// A height difference within 3 × 3 cells beyond this slope is a cliff: 63°.
@@ -44,7 +46,11 @@ const CLIFF: f32 = 2.0;
 /// Heights of the ground and of the lowest surface over a plan grid.
 #[derive(Debug, Clone)]
 pub struct Ground {
-    /// Lower left corner of cell (0, 0) and the zero of all heights here.
+    /// What the grid turns about: a vertex.
+    pivot: DVec3,
+    /// Cosine and sine of the angle by which the mesh is turned to lie along the grid.
+    turn: DVec2,
+    /// Lower left corner of cell (0, 0) and the zero of all heights here, relative to the pivot, after turning.
     origin: DVec3,
     cell_m: f64,
     nx: usize,
@@ -78,11 +84,14 @@ impl Ground {
     /// An empty grid with cells of a median edge (1 m to 3 m), coarser where the extent would need too many or most
     /// would be empty.
     fn grid(mesh: &Mesh, planes: &Planes, config: &ClassesConfig) -> Self {
+        let pivot = mesh.positions.first().copied().unwrap_or(DVec3::ZERO);
+        let turn = along_walls(planes);
         let mut low = DVec3::splat(f64::INFINITY);
         let mut high = DVec3::splat(f64::NEG_INFINITY);
         for p in &mesh.positions {
-            low = low.min(*p);
-            high = high.max(*p);
+            let q = turned(*p - pivot, turn);
+            low = low.min(q);
+            high = high.max(q);
         }
         if mesh.positions.is_empty() {
             (low, high) = (DVec3::ZERO, DVec3::ZERO);
@@ -96,13 +105,18 @@ impl Ground {
             cell_m *= 1.25;
         }
         let (nx, ny) = ((size.x / cell_m) as usize + 1, (size.y / cell_m) as usize + 1);
-        Self { origin: low, cell_m, nx, ny, height: Vec::new(), upper: Vec::new(), lowest: Vec::new() }
+        Self { pivot, turn, origin: low, cell_m, nx, ny, height: Vec::new(), upper: Vec::new(), lowest: Vec::new() }
+    }
+
+    /// A point in the grid's own directions, metres from the corner of cell (0, 0).
+    fn plan(&self, p: DVec3) -> DVec3 {
+        turned(p - self.pivot, self.turn) - self.origin
     }
 
     /// Height of a point above the ground, metres. Beside a cliff the ground is its upper edge, so that the edge
     /// itself is not in the air.
     pub fn height_above(&self, p: DVec3) -> f32 {
-        let q = p - self.origin;
+        let q = self.plan(p);
         let (x, y) = (q.x / self.cell_m - 0.5, q.y / self.cell_m - 0.5);
         let (x, y) = (x.clamp(0.0, (self.nx - 1) as f64), y.clamp(0.0, (self.ny - 1) as f64));
         let (i, j) = ((x as usize).min(self.nx.saturating_sub(2)), (y as usize).min(self.ny.saturating_sub(2)));
@@ -111,7 +125,7 @@ impl Ground {
         let lower = at(i, j) * (1.0 - u) + at(i + 1, j) * u;
         let upper = at(i, j + 1) * (1.0 - u) + at(i + 1, j + 1) * u;
         let ground = lower * (1.0 - v) + upper * v;
-        let cell = self.cell(p).unwrap_or(0);
+        let cell = self.cell_at(q).unwrap_or(0);
         let edge = self.upper[cell];
         let ground = if edge - ground > CLIFF * self.cell_m as f32 { edge } else { ground };
         q.z as f32 - ground
@@ -120,12 +134,21 @@ impl Ground {
     /// How far the lowest surface at the plan position of `p` lies below `p`; `None` where there is no surface.
     pub fn drop_below(&self, p: DVec3) -> Option<f32> {
         let low = self.lowest[self.cell(p)?];
-        low.is_finite().then_some((p.z - self.origin.z) as f32 - low)
+        low.is_finite().then_some(self.level(p) as f32 - low)
     }
 
     /// The cell at the plan position of `p`; `None` outside the grid.
     pub fn cell(&self, p: DVec3) -> Option<usize> {
-        let q = (p - self.origin) / self.cell_m;
+        self.cell_at(self.plan(p))
+    }
+
+    /// Height of a point over the zero of the grid, metres.
+    pub fn level(&self, p: DVec3) -> f64 {
+        p.z - self.pivot.z - self.origin.z
+    }
+
+    fn cell_at(&self, plan: DVec3) -> Option<usize> {
+        let q = plan / self.cell_m;
         let (i, j) = (q.x as usize, q.y as usize);
         (q.x >= 0.0 && q.y >= 0.0 && i < self.nx && j < self.ny).then(|| j * self.nx + i)
     }
@@ -137,7 +160,7 @@ impl Ground {
             let normal: f32 = mesh.faces[f].iter().map(|&v| planes.vertex_normals[v as usize].z).sum::<f32>() / 3.0;
             if normal > UPWARD {
                 self.for_cells(mesh.corners(f), |cell, z| {
-                    low[cell] = low[cell].min((z - self.origin.z) as f32);
+                    low[cell] = low[cell].min(z as f32);
                 });
             }
         }
@@ -151,13 +174,13 @@ impl Ground {
         self.fill_pits(low)
     }
 
-    /// Visits the cells under a triangle with its height there: its corners, and its inside where it is wider than
+    /// Visits the cells under a triangle with its [`Ground::level`] there: its corners, and its inside where it is wider than
     /// a cell. A cell may be visited several times.
     pub fn for_cells(&self, corners: [DVec3; 3], mut visit: impl FnMut(usize, f64)) {
-        let [a, b, c] = corners.map(|p| p - self.origin);
+        let [a, b, c] = corners.map(|p| self.plan(p));
         let mut put = |p: DVec3| {
             let (i, j) = ((p.x / self.cell_m) as usize, (p.y / self.cell_m) as usize);
-            visit(j.min(self.ny - 1) * self.nx + i.min(self.nx - 1), p.z + self.origin.z);
+            visit(j.min(self.ny - 1) * self.nx + i.min(self.nx - 1), p.z);
         };
         [a, b, c].into_iter().for_each(&mut put);
         let (min, max) = (a.min(b).min(c) / self.cell_m, a.max(b).max(c) / self.cell_m);
@@ -236,7 +259,7 @@ impl Ground {
     fn wall_feet(&self, mesh: &Mesh, planes: &Planes) -> Vec<f32> {
         let mut feet = vec![f32::INFINITY; self.nx * self.ny];
         let mut span = vec![(f64::INFINITY, f64::NEG_INFINITY); planes.regions.len()];
-        let upright = |r: u32| r != NONE && planes.regions[r as usize].normal.z.abs() < 0.2;
+        let upright = |r: u32| r != NONE && planes.regions[r as usize].normal.z.abs() < UPRIGHT;
         for (f, &r) in planes.face_region.iter().enumerate().filter(|(_, r)| upright(**r)) {
             for p in mesh.corners(f) {
                 let span = &mut span[r as usize];
@@ -251,7 +274,7 @@ impl Ground {
                     && p.z < bottom + 0.25 * (top - bottom)
                     && let Some(cell) = self.cell(p)
                 {
-                    feet[cell] = feet[cell].min((p.z - self.origin.z) as f32);
+                    feet[cell] = feet[cell].min(self.level(p) as f32);
                 }
             }
         }
@@ -313,6 +336,23 @@ impl Ground {
         let limit = STEEPEST * self.cell_m as f32;
         height.iter().zip(gx.iter().zip(&gy)).map(|(z, (x, y))| z + 0.5 * (x.min(limit) + y.min(limit))).collect()
     }
+}
+
+/// The turn that lays most walls along the axes, so that the grid turns with the mesh: the mean direction of upright
+/// planes by area, angles counted four times since walls meet at right ones. None without walls.
+fn along_walls(planes: &Planes) -> DVec2 {
+    let mut sum = DVec2::ZERO;
+    for region in planes.regions.iter().filter(|r| r.normal.z.abs() < UPRIGHT) {
+        let once = region.normal.truncate().normalize_or_zero();
+        let twice = once.rotate(once);
+        sum += region.area_m2 * twice.rotate(twice);
+    }
+    if sum == DVec2::ZERO { DVec2::X } else { DVec2::from_angle(-0.25 * sum.to_angle()) }
+}
+
+/// A point turned about the vertical.
+fn turned(p: DVec3, turn: DVec2) -> DVec3 {
+    turn.rotate(p.truncate()).extend(p.z)
 }
 
 #[cfg(test)]

@@ -33,7 +33,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use crate::ids::{ClassId, ClassScheme};
-use crate::mesh::{Mesh, topology};
+use crate::mesh::Mesh;
 use crate::planes::{NONE, Planes};
 
 mod confusion;
@@ -156,7 +156,7 @@ impl ClassesConfig {
 /// If the scheme is empty, which its `check` refuses.
 pub fn label(mesh: &Mesh, planes: &Planes, scheme: &ClassScheme, config: &ClassesConfig) -> Classes {
     assert!(!scheme.is_empty(), "a class scheme without classes passed its check");
-    let neighbours = topology::face_neighbours(mesh);
+    let neighbours = &planes.neighbours;
     let ground = Ground::of(mesh, planes, config);
     let features = features::Features::of(mesh, planes, &ground);
     let region = |f: usize| match planes.face_region[f] {
@@ -165,8 +165,8 @@ pub fn label(mesh: &Mesh, planes: &Planes, scheme: &ClassScheme, config: &Classe
     };
     let faces = (0..mesh.faces.len()).into_par_iter().with_min_len(4096);
     let unary = faces.map(|f| rules::scores(&features, f, region(f), config)).collect();
-    let mut field = smooth::smooth(mesh, planes, &neighbours, config, unary);
-    context::revise(mesh, planes, &neighbours, &ground, config, &mut field);
+    let mut field = smooth::smooth(mesh, planes, neighbours, config, unary);
+    context::revise(mesh, planes, neighbours, &ground, config, &mut field);
 
     let (count, place) = (scheme.len(), places(scheme));
     let mut posterior = vec![0.0f32; field.len() * count];

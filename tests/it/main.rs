@@ -18,6 +18,7 @@ mod cli;
 mod common;
 mod determinism;
 mod formats;
+mod front_end;
 mod layers;
 mod real;
 mod tileset;

@@ -38,6 +38,8 @@ const PIT_AREA_M2: f64 = 12.0;
 const WALL_HEIGHT_M: f64 = 2.5;
 /// z of the normal of the least upright wall: 12° off the vertical.
 const UPRIGHT: f64 = 0.2;
+/// Strips in which the outline is looked for: a thousandth of the width is exact enough for a direction.
+const COLUMNS: usize = 1024;
 /// Samples a single face may leave in the grid: bounds the time for huge faces.
 const MAX_SAMPLES: f64 = 4096.0;
 /// A height difference within 3 × 3 cells beyond this slope is a cliff: 63°.
@@ -85,7 +87,7 @@ impl Ground {
     /// would be empty.
     fn grid(mesh: &Mesh, planes: &Planes, config: &ClassesConfig) -> Self {
         let pivot = mesh.positions.first().copied().unwrap_or(DVec3::ZERO);
-        let turn = along_walls(planes);
+        let turn = along_outline(mesh, pivot);
         let mut low = DVec3::splat(f64::INFINITY);
         let mut high = DVec3::splat(f64::NEG_INFINITY);
         for p in &mesh.positions {
@@ -105,7 +107,10 @@ impl Ground {
             cell_m *= 1.25;
         }
         let (nx, ny) = ((size.x / cell_m) as usize + 1, (size.y / cell_m) as usize + 1);
-        Self { pivot, turn, origin: low, cell_m, nx, ny, height: Vec::new(), upper: Vec::new(), lowest: Vec::new() }
+        // Cells lie evenly about the middle: a quarter turn of the mesh finds the same ones.
+        let margin = 0.5 * (DVec2::new(nx as f64, ny as f64) * cell_m - size.truncate());
+        let origin = low - margin.extend(0.0);
+        Self { pivot, turn, origin, cell_m, nx, ny, height: Vec::new(), upper: Vec::new(), lowest: Vec::new() }
     }
 
     /// A point in the grid's own directions, metres from the corner of cell (0, 0).
@@ -338,16 +343,60 @@ impl Ground {
     }
 }
 
-/// The turn that lays most walls along the axes, so that the grid turns with the mesh: the mean direction of upright
-/// planes by area, angles counted four times since walls meet at right ones. None without walls.
-fn along_walls(planes: &Planes) -> DVec2 {
-    let mut sum = DVec2::ZERO;
-    for region in planes.regions.iter().filter(|r| r.normal.z.abs() < UPRIGHT) {
-        let once = region.normal.truncate().normalize_or_zero();
-        let twice = once.rotate(once);
-        sum += region.area_m2 * twice.rotate(twice);
+/// The turn that lays the smallest rectangle around the mesh along the axes, so that the grid turns with the mesh.
+/// Relative to `pivot`; from the extreme vertices of [`COLUMNS`] strips.
+fn along_outline(mesh: &Mesh, pivot: DVec3) -> DVec2 {
+    let at = |p: &DVec3| (*p - pivot).truncate();
+    let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
+    for p in &mesh.positions {
+        let q = at(p);
+        (low, high) = (low.min(q.x), high.max(q.x));
     }
-    if sum == DVec2::ZERO { DVec2::X } else { DVec2::from_angle(-0.25 * sum.to_angle()) }
+    let per_metre = COLUMNS as f64 / (high - low).max(1e-9);
+    let mut strips: Vec<Option<[DVec2; 4]>> = vec![None; COLUMNS + 1];
+    for p in &mesh.positions {
+        let q = at(p);
+        let strip = strips[(((q.x - low) * per_metre) as usize).min(COLUMNS)].get_or_insert([q; 4]);
+        let further = [q.x < strip[0].x, q.x > strip[1].x, q.y < strip[2].y, q.y > strip[3].y];
+        strip.iter_mut().zip(further).filter(|(_, is)| *is).for_each(|(best, _)| *best = q);
+    }
+    let hull = hull(strips.into_iter().flatten().flatten().collect());
+    let mut best = (f64::INFINITY, DVec2::X);
+    for (k, a) in hull.iter().enumerate() {
+        let along = (hull[(k + 1) % hull.len()] - a).normalize_or_zero();
+        let turn = DVec2::new(along.x, -along.y);
+        let (mut min, mut max) = (DVec2::INFINITY, DVec2::NEG_INFINITY);
+        for q in &hull {
+            let q = turn.rotate(*q);
+            (min, max) = (min.min(q), max.max(q));
+        }
+        let area = (max - min).element_product();
+        if along != DVec2::ZERO && area < best.0 {
+            best = (area, turn);
+        }
+    }
+    best.1
+}
+
+/// Convex hull, counter-clockwise (Andrew's monotone chain).
+fn hull(mut points: Vec<DVec2>) -> Vec<DVec2> {
+    points.sort_by(|a, b| a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)));
+    let chain = |points: &mut dyn Iterator<Item = DVec2>| {
+        let mut chain: Vec<DVec2> = Vec::new();
+        for p in points {
+            while let [.., a, b] = chain[..]
+                && (b - a).perp_dot(p - a) <= 0.0
+            {
+                chain.pop();
+            }
+            chain.push(p);
+        }
+        chain.pop();
+        chain
+    };
+    let mut below = chain(&mut points.iter().copied());
+    below.extend(chain(&mut points.iter().rev().copied()));
+    below
 }
 
 /// A point turned about the vertical.

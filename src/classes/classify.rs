@@ -7,7 +7,6 @@ use super::paper::{Evidence, Table, posterior};
 use super::scheme::{BASE, looks_at, spread};
 use super::{Classes, ClassesConfig, Ground, robust};
 use crate::ids::ClassScheme;
-use crate::mesh::topology;
 
 /// Which rules tell classes apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
@@ -87,14 +86,14 @@ pub fn classify_measured(
     config: &ClassesConfig,
 ) -> Classes {
     assert!(!scheme.is_empty(), "a class scheme without classes passed its check");
-    let neighbours = topology::face_neighbours(scene.mesh);
+    let neighbours = &scene.planes.neighbours;
     let base = || BASE.iter().map(|s| (*s).to_owned()).collect();
     let (sources, chances): (Vec<String>, Vec<f32>) = match config.table() {
-        None => (base(), robust(scene.mesh, scene.planes, &neighbours, ground, config).into_flattened()),
+        None => (base(), robust(scene.mesh, scene.planes, neighbours, ground, config).into_flattened()),
         Some(table) => {
             let evidence = Evidence::of(measures, scene.mesh, table);
             (table.classes.clone(), posterior(scene.mesh, &evidence, table))
         }
     };
-    spread(scene.mesh, measures, &neighbours, scheme, &sources, &chances)
+    spread(scene.mesh, measures, neighbours, scheme, &sources, &chances)
 }

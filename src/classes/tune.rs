@@ -25,7 +25,6 @@ use super::truth::{Agreement, Mask, agreement};
 use super::{Classes, ClassesConfig, Ground, classify_measured};
 use crate::Result;
 use crate::ids::ClassScheme;
-use crate::mesh::topology;
 
 /// Steps of the search, coarse to fine.
 const STEPS: [f64; 3] = [2.0, std::f64::consts::SQRT_2, 1.189_207_115_002_721];
@@ -70,7 +69,6 @@ pub fn tune(
         ground: &ground,
         measures: &measures,
         evidence: config.table().map(|table| Evidence::of(&measures, scene.mesh, table)),
-        neighbours: topology::face_neighbours(scene.mesh),
     };
     let judge = |config: &ClassesConfig| agreement(&labelling.of(config), truth, &areas);
     let before = judge(config);
@@ -180,7 +178,6 @@ struct Labelling<'a> {
     ground: &'a Ground,
     measures: &'a Measures<'a>,
     evidence: Option<Evidence>,
-    neighbours: Vec<[u32; 3]>,
 }
 
 impl Labelling<'_> {
@@ -188,7 +185,14 @@ impl Labelling<'_> {
         match (&self.evidence, config.table()) {
             (Some(evidence), Some(table)) => {
                 let chances = posterior(self.scene.mesh, evidence, table);
-                spread(self.scene.mesh, self.measures, &self.neighbours, self.scheme, &table.classes, &chances)
+                spread(
+                    self.scene.mesh,
+                    self.measures,
+                    &self.scene.planes.neighbours,
+                    self.scheme,
+                    &table.classes,
+                    &chances,
+                )
             }
             _ => classify_measured(self.scene, self.ground, self.measures, self.scheme, config),
         }

@@ -22,6 +22,7 @@ mod common;
 mod compare;
 mod determinism;
 mod formats;
+mod front_end;
 mod label;
 mod layers;
 mod real;

@@ -42,6 +42,7 @@
 mod block;
 mod energy;
 mod queue;
+pub mod record;
 
 use std::cmp::Ordering;
 use std::collections::HashMap;

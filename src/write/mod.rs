@@ -5,11 +5,13 @@
 mod content;
 pub mod glb;
 pub mod output;
+pub mod ply;
 pub mod tileset;
 
 pub use content::{TileContent, quantization_error_m};
 pub use glb::{GlbOptions, glb};
 pub use output::Output;
+pub use ply::Ply;
 pub use tileset::{About, ClassError, TileEntry, tileset};
 
 /// What stands in `asset.generator`.

@@ -6,7 +6,9 @@
 mod build;
 mod demo;
 mod inspect;
+mod replay;
 mod serve;
+mod simplify;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -46,6 +48,10 @@ enum Verb {
     Demo(demo::Args),
     /// Turn OBJ, glTF or PLY into a 3D Tiles 1.1 tileset.
     Build(Box<build::Args>),
+    /// Simplify a mesh by collapsing edges within the budgets of its classes, and record how.
+    Simplify(Box<simplify::Args>),
+    /// Take a mesh of any size or error out of a record.
+    Replay(replay::Args),
     /// Serve a tileset and a page that shows it in CesiumJS.
     Serve(serve::Args),
     /// Say in numbers what is in an input or a tileset, and what is wrong with a tileset.
@@ -93,6 +99,8 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
     match cli.verb {
         Verb::Demo(args) => demo::run(&args, json, &reporter),
         Verb::Build(args) => build::run(&args, json, &reporter),
+        Verb::Simplify(args) => simplify::run(&args, json, &reporter),
+        Verb::Replay(args) => replay::run(&args, json, &reporter),
         Verb::Serve(args) => serve::run(&args, &reporter),
         Verb::Inspect(args) => inspect::run(&args, json, &reporter),
     }

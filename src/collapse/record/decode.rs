@@ -9,7 +9,8 @@ use glam::DVec3;
 use super::MAX_CLASSES;
 use super::base::{Growth, Next};
 use super::coder::Decoder;
-use super::file::{Header, Layout};
+use super::file::{ChunkInfo, Header, Layout};
+use super::level::size_of;
 use super::live::{Grid, Live, Star};
 use super::progressive::Progressive;
 use super::split::{Models, Split};
@@ -45,6 +46,23 @@ impl Record {
     /// Bytes of the file up to and including each part: base, then chunks from coarse to fine.
     pub fn bytes_through(&self) -> impl Iterator<Item = usize> + '_ {
         self.layout.places.iter().map(|p| p.end)
+    }
+
+    /// Chunks to decode for a mesh of at least `faces` faces, or all of them.
+    pub fn chunks_for_faces(&self, faces: usize) -> usize {
+        self.header().chunks.iter().position(|c| c.faces as usize >= faces).unwrap_or(self.header().chunks.len())
+    }
+
+    /// Chunks to decode for a mesh that keeps every class within its limit, metres; none if deviations were not
+    /// recorded.
+    pub fn chunks_within(&self, limits_m: &[f64; MAX_CLASSES]) -> Option<usize> {
+        let fits = |c: &ChunkInfo| c.bounds.iter().zip(limits_m).all(|(l, m)| size_of(*l) <= *m);
+        self.header().chunks.iter().position(fits).filter(|_| self.header().about.tracked)
+    }
+
+    /// Chunks in the first `bytes` of the file; none if not even the base is.
+    pub fn chunks_in_bytes(&self, bytes: usize) -> Option<usize> {
+        self.bytes_through().filter(|end| *end <= bytes).count().checked_sub(1)
     }
 
     /// Header and payloads, for tests that put them together wrongly.
@@ -84,6 +102,7 @@ impl Record {
             about: header.about.clone(),
             base_points: reader.live.points.iter().map(metres).collect(),
             base_faces: base.faces,
+            finest: header.chunks[chunks.min(header.chunks.len() - 1)].bounds,
             ..Progressive::default()
         };
         for (i, chunk) in header.chunks.iter().enumerate().skip(1).take(chunks) {

@@ -4,7 +4,7 @@
 //! | part | what |
 //! |---|---|
 //! | magic | `rooftile record`, a zero byte |
-//! | u16, u16 | version, flags (0) |
+//! | u16, u16 | version, flags (1: deviations are recorded) |
 //! | u32 | bytes of the header, from the magic to its checksum |
 //! | 3 × f64 | added to positions: the origin in source coordinates |
 //! | i8 | the grid is 2 to this power, metres |
@@ -27,6 +27,8 @@ use crate::{Error, Result};
 
 const MAGIC: &[u8; 16] = b"rooftile record\0";
 const VERSION: u16 = 1;
+/// The flag of [`About::tracked`].
+const TRACKED: u16 = 1;
 const HASH_BYTES: usize = 16;
 const CHUNK_BYTES: usize = 4 * 4 + 2 * 2 + MAX_CLASSES + HASH_BYTES;
 /// A feature id byte has room for more, but nothing here was tried with more.
@@ -43,6 +45,8 @@ pub struct About {
     pub scheme: ClassScheme,
     /// How it was simplified, in a word.
     pub method: String,
+    /// Events hold deviations; without them nothing is known of errors.
+    pub tracked: bool,
 }
 
 /// What is known of a chunk without decoding it.
@@ -90,7 +94,7 @@ impl Header {
     fn to_bytes(&self) -> Vec<u8> {
         let mut out = MAGIC.to_vec();
         out.extend(VERSION.to_le_bytes());
-        out.extend(0u16.to_le_bytes());
+        out.extend(u16::from(self.about.tracked).to_le_bytes());
         let size_at = out.len();
         out.extend(0u32.to_le_bytes());
         self.about.origin.to_array().iter().for_each(|x| out.extend(x.to_le_bytes()));
@@ -127,8 +131,6 @@ impl Header {
 pub struct Layout {
     /// What it says.
     pub header: Header,
-    /// Bytes of the header itself.
-    pub header_bytes: usize,
     /// Where each of `header.chunks` lies.
     pub places: Vec<Range<usize>>,
 }
@@ -166,13 +168,13 @@ impl Layout {
         if hash != hash_of(head) {
             return Err(cursor.damaged("header"));
         }
-        if version != VERSION || flags != 0 {
+        if version != VERSION || flags > TRACKED {
             let what =
                 format!("is a record of version {version}.{flags}, and version {VERSION}.0 is read; record again");
             return Err(Error::Unsupported { path: path.to_path_buf(), what });
         }
         cursor.bytes = head;
-        let header = cursor.header()?;
+        let header = cursor.header(flags & TRACKED != 0)?;
         let mut places = Vec::with_capacity(header.chunks.len());
         let mut at = size;
         for chunk in &header.chunks {
@@ -187,7 +189,7 @@ impl Layout {
             let what = format!("has {} bytes after its end; record again", bytes.len() - at);
             return Err(Error::input_at(path, Place::Byte(at as u64), what));
         }
-        Ok(Self { header, header_bytes: size, places })
+        Ok(Self { header, places })
     }
 
     /// The bytes of part `i`, checked.
@@ -253,7 +255,7 @@ impl Cursor<'_> {
         text.map_err(|_| self.wrong("a text that is not UTF-8"))
     }
 
-    fn header(&mut self) -> Result<Header> {
+    fn header(&mut self, tracked: bool) -> Result<Header> {
         let origin = DVec3::new(self.real()?, self.real()?, self.real()?);
         let [exponent] = self.take()?;
         let exponent = i32::from(exponent as i8);
@@ -280,7 +282,7 @@ impl Cursor<'_> {
             chunks.push(self.chunk(i, chunks.last())?);
         }
         let grid_m = 2f64.powi(exponent);
-        Ok(Header { about: About { origin, scheme, method }, grid_m, chunks })
+        Ok(Header { about: About { origin, scheme, method, tracked }, grid_m, chunks })
     }
 
     fn chunk(&mut self, i: usize, before: Option<&ChunkInfo>) -> Result<ChunkInfo> {

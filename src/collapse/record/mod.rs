@@ -15,7 +15,7 @@ pub use encode::encode;
 pub use file::{About, ChunkInfo, Header};
 pub use level::{level_of, size_of};
 pub use progressive::{Progressive, Replayed};
-pub use stand_in::{Event, Sequence};
+pub use stand_in::{Event, Sequence, Simplified, Target, simplify};
 
 pub(crate) use super::NONE;
 

@@ -18,6 +18,8 @@ pub struct Progressive {
     pub base_points: Vec<DVec3>,
     /// Faces of the base.
     pub base_faces: u32,
+    /// Levels of the largest deviation of each class in the finest mesh: 0 if all was decoded.
+    pub finest: [u8; MAX_CLASSES],
     /// Per split: the vertex that splits; the new vertex is number `base_points.len() + split`.
     pub kept: Vec<u32>,
     /// Per split: where `kept` was before it.
@@ -159,9 +161,19 @@ impl Progressive {
         Replayed { positions, faces, classes, bounds_m: self.bounds(|i| done[i]), splits }
     }
 
+    /// The fewest splits whose mesh keeps every class within its limit, metres: the coarsest such prefix. None if even
+    /// the finest does not, or nothing is known of errors.
+    pub fn splits_within(&self, limits_m: &[f64; MAX_CLASSES]) -> Option<usize> {
+        let fits = |levels: &[u8; MAX_CLASSES]| levels.iter().zip(limits_m).all(|(l, m)| size_of(*l) <= *m);
+        if !self.about.tracked || !fits(&self.finest) {
+            return None;
+        }
+        Some(self.deviation.iter().rposition(|own| !fits(own)).map_or(0, |i| i + 1))
+    }
+
     /// The largest deviations of the collapses that `done` says are carried out.
     fn bounds(&self, done: impl Fn(usize) -> bool) -> [f64; MAX_CLASSES] {
-        let mut levels = [0u8; MAX_CLASSES];
+        let mut levels = self.finest;
         for (_, own) in self.deviation.iter().enumerate().filter(|(i, _)| done(*i)) {
             levels.iter_mut().zip(own).for_each(|(l, o)| *l = (*l).max(*o));
         }

@@ -121,7 +121,12 @@ fn canonical(at: &[DVec3], faces: &[[u32; 3]], classes: &[u8]) -> Vec<([[u64; 3]
 }
 
 fn about() -> About {
-    About { origin: DVec3::new(400_000.0, 5_000_000.0, 12.5), scheme: ClassScheme::default(), method: "test".into() }
+    About {
+        origin: DVec3::new(400_000.0, 5_000_000.0, 12.5),
+        scheme: ClassScheme::default(),
+        method: "test".into(),
+        tracked: true,
+    }
 }
 
 fn opened(bytes: Vec<u8>) -> crate::Result<Record> {
@@ -283,9 +288,28 @@ fn fewer_chunks_are_the_coarse_meshes_of_the_whole() {
     for (count, info) in chunks.iter().enumerate() {
         let part = record.decode(count).unwrap();
         let splits = info.vertices as usize - whole.base_points.len();
-        assert_eq!(part.at(usize::MAX), Replayed { bounds_m: [0.0; MAX_CLASSES], ..whole.at(splits) });
+        assert_eq!(part.at(usize::MAX), whole.at(splits));
         assert_eq!(info.bounds.map(size_of), whole.at(splits).bounds_m);
         assert_eq!(part.faces.len(), info.faces as usize);
+    }
+}
+
+#[test]
+fn the_coarsest_mesh_within_limits_is_found_from_any_part() {
+    let (record, whole) = round_trip(&random_sequence(12, 12, 0.9, false, false));
+    for limit in [0.0, 0.011, 0.05, 0.1, 1.0] {
+        let limits = [limit; MAX_CLASSES];
+        let splits = whole.splits_within(&limits).unwrap();
+        assert!(whole.at(splits).bounds_m.iter().all(|b| *b <= limit));
+        assert!(splits == 0 || whole.at(splits - 1).bounds_m.iter().any(|b| *b > limit));
+        let chunks = record.chunks_within(&limits).unwrap();
+        assert_eq!(record.decode(chunks).unwrap().splits_within(&limits), Some(splits));
+        let chosen = record.decode(chunks).unwrap().within(&limits);
+        let all = whole.within(&limits);
+        assert_eq!(
+            canonical(&chosen.positions, &chosen.faces, &chosen.classes),
+            canonical(&all.positions, &all.faces, &all.classes)
+        );
     }
 }
 

@@ -9,6 +9,7 @@
 //! | `formats` | hundreds of odd files of other projects: no panic, no hang, no memory |
 //! | `layers` | which module may know which |
 //! | `real` | a real scan, from end to end |
+//! | `record` | simplifying, recording and replaying, by the program |
 //!
 //! `ROOFTILE_DATA` names the folder of real scans and odd files. Without it those tests are skipped, and say so; where
 //! `CI` is set they fail instead.
@@ -20,4 +21,5 @@ mod determinism;
 mod formats;
 mod layers;
 mod real;
+mod record;
 mod tileset;

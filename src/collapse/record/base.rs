@@ -109,7 +109,7 @@ impl Growth {
         if a == b || b == c || c == a {
             return Err("a face with one vertex twice");
         }
-        let class = models.code_class(coder, self.last_class, next.class);
+        let class = models.code_class(coder, [self.last_class; 2], next.class);
         self.last_class = class;
         live.add_face(corners, class);
         if fresh {

@@ -58,6 +58,8 @@ pub struct Rim {
     pub vertex: u32,
     /// The first spoke that uses it.
     pub spoke: u32,
+    /// The last spoke that uses it, known after the sides are.
+    pub other: u32,
     /// Spokes that use it and stay, counted after the sides are known.
     pub stay: u32,
     /// Spokes that use it and go to the new vertex.
@@ -180,7 +182,7 @@ impl Star {
         for (i, spoke) in self.spokes.iter().enumerate() {
             for vertex in [spoke.a, spoke.b] {
                 if many || self.rims.iter().all(|r| r.vertex != vertex) {
-                    self.rims.push(Rim { vertex, spoke: i as u32, stay: 0, leave: 0 });
+                    self.rims.push(Rim { vertex, spoke: i as u32, other: i as u32, stay: 0, leave: 0 });
                 }
             }
         }
@@ -193,7 +195,7 @@ impl Star {
     /// Counts for every rim the spokes on either side.
     pub fn count_sides(&mut self, leaves: &[bool]) {
         let many = self.spokes.len() > MOST_ORDERED;
-        for (spoke, &leaves) in self.spokes.iter().zip(leaves) {
+        for (place, (spoke, &leaves)) in self.spokes.iter().zip(leaves).enumerate() {
             for vertex in [spoke.a, spoke.b] {
                 let rim = if many {
                     self.rims.binary_search_by_key(&vertex, |r| r.vertex).ok()
@@ -202,6 +204,7 @@ impl Star {
                 };
                 if let Some(i) = rim {
                     let rim = &mut self.rims[i];
+                    rim.other = place as u32;
                     *(if leaves { &mut rim.leave } else { &mut rim.stay }) += 1;
                 }
             }

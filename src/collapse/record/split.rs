@@ -70,7 +70,7 @@ impl Models {
             wings: vec![Prob::default(); 81],
             far: Prob::default(),
             turned: Default::default(),
-            class_as: vec![Prob::default(); 32],
+            class_as: vec![Prob::default(); 96],
             class: Tree::default(),
             moved: Default::default(),
             along: vec![Number::default(); 6 * SIZES],
@@ -158,8 +158,8 @@ impl Models {
                 // The face beside it runs the other way along the edge they share.
                 let hint = (rim.vertex == spoke.a) == split.leaves[rim.spoke as usize];
                 wing.turned = coder.bit(&mut self.turned[0], wing.turned != hint) != hint;
-                let like = live.classes[spoke.corner as usize / 3];
-                wing.class = self.code_class(coder, like, wing.class);
+                let beside = [rim.spoke, rim.other].map(|i| live.classes[star.spokes[i as usize].corner as usize / 3]);
+                wing.class = self.code_class(coder, beside, wing.class);
                 wings.push(wing);
             }
         }
@@ -175,19 +175,22 @@ impl Models {
             }
             wing.turned = coder.bit(&mut self.turned[1], wing.turned);
             let like = star.spokes.first().map_or(0, |s| live.classes[s.corner as usize / 3]);
-            wing.class = self.code_class(coder, like, wing.class);
+            wing.class = self.code_class(coder, [like; 2], wing.class);
             wings.push(wing);
         }
         Ok(())
     }
 
-    /// Codes a class that is probably `like`.
-    pub fn code_class(&mut self, coder: &mut impl Coder, like: u8, class: u8) -> u8 {
-        if coder.bit(&mut self.class_as[usize::from(like & 31)], class != like) {
-            self.class.code(coder, u32::from(class)) as u8
-        } else {
-            like
+    /// Codes a class that is probably one of two.
+    pub fn code_class(&mut self, coder: &mut impl Coder, [one, two]: [u8; 2], class: u8) -> u8 {
+        let context = usize::from(one & 31) + if one == two { 32 } else { 0 };
+        if !coder.bit(&mut self.class_as[context], class != one) {
+            return one;
         }
+        if one != two && !coder.bit(&mut self.class_as[64 + usize::from(two & 31)], class != two) {
+            return two;
+        }
+        self.class.code(coder, u32::from(class)) as u8
     }
 
     fn code_positions(

@@ -211,8 +211,9 @@ impl Models {
         split.kept_at = if coder.bit(&mut self.moved[usize::from(self.was_moved)], split.kept_at != coarse) {
             self.was_moved = true;
             let around = Around::of(live, ring(false).map(|r| r.vertex), split.gone_at, normal);
+            // Placement pulls towards the middle of the edge; the ring says less (half the guess: 0.8 bytes more).
             let mirrored = 2.0 * vec(coarse) - vec(split.gone_at);
-            self.code_point(coder, &around, (around.middle + mirrored) * 0.5, split.kept_at, 3)?
+            self.code_point(coder, &around, mirrored, split.kept_at, 3)?
         } else {
             self.was_moved = false;
             coarse
@@ -237,7 +238,7 @@ impl Models {
         };
         out[u] = code(&mut self.along[kind * SIZES + around.reach], coder, guess[u], point[u]);
         let du = out[u] as f64 - guess[u];
-        let second = kind + 1 + usize::from(2 * size_class(du) > 2 * around.reach.saturating_sub(1));
+        let second = kind + 1 + usize::from(size_class(du) >= around.reach);
         out[v] = code(&mut self.along[second * SIZES + around.reach], coder, guess[v], point[v]);
         let dv = out[v] as f64 - guess[v];
         let on_plane = guess[w] - around.slope[0] * du - around.slope[1] * dv;

@@ -99,8 +99,8 @@ impl Growth {
             }
             None => {
                 let mut corners = [0; 3];
-                for k in 0..3 {
-                    corners[k] = self.code_any(coder, live, vertices, next.corners[k], next.points[k])?;
+                for (k, corner) in corners.iter_mut().enumerate() {
+                    *corner = self.code_any(coder, live, vertices, next.corners[k], next.points[k])?;
                 }
                 corners
             }
@@ -279,9 +279,7 @@ impl<'a> Picker<'a> {
                 }
                 let face = self.faces[self.from];
                 next.points = face.map(|v| self.points[v as usize]);
-                for k in 0..3 {
-                    next.corners[k] = self.numbered(face[k]);
-                }
+                next.corners = face.map(|v| self.numbered(v));
                 self.from
             }
         };

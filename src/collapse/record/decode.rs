@@ -172,11 +172,11 @@ impl Reader {
             let before = self.live.faces.len();
             split.leaves.clear();
             split.wings.clear();
+            split.folds.clear();
             split.deviation = [0; MAX_CLASSES];
             self.models.code(&mut coder, &self.live, &mut self.star, &mut split, faces - before)?;
             let coarse_at = self.live.points[split.kept as usize];
-            let at = (split.kept_at, split.gone_at);
-            self.live.split(split.kept, &self.star, &split.leaves, &split.wings, at);
+            self.live.split(&self.star, &split);
             self.check(&coder, before)?;
             out.kept.push(split.kept);
             out.coarse_at.push(metres(coarse_at));
@@ -185,9 +185,8 @@ impl Reader {
             out.deviation.push(split.deviation);
             out.energy.push(self.energy);
             out.faces_after.push(self.live.faces.len() as u32);
-            out.rims.extend(self.star.rims.iter().map(|r| r.vertex));
-            out.rims
-                .extend(split.wings.iter().map(|w| w.apex).filter(|a| self.star.rims.iter().all(|r| r.vertex != *a)));
+            let others = split.wings.iter().map(|w| w.apex).chain(split.folds.iter().flat_map(|f| [f.a, f.b]));
+            out.rims.extend(others.filter(|v| self.star.rims.iter().all(|r| r.vertex != *v)));
             out.rims_end.push(out.rims.len());
         }
         if self.live.faces.len() != faces { Err("fewer faces than it says it has") } else { Ok(()) }

@@ -10,7 +10,7 @@ use super::base::{Growth, Picker};
 use super::coder::Encoder;
 use super::file::{About, ChunkInfo, Header, Layout, least_bytes};
 use super::level::level_of;
-use super::live::{Grid, Live, Star, Wing};
+use super::live::{Fold, Grid, Live, Star, Wing};
 use super::split::{MOST_COORDINATE, Models, Split};
 use super::{MAX_CLASSES, NONE, Sequence};
 use crate::{Error, Result};
@@ -24,7 +24,7 @@ const MOST_EVENTS: usize = 8192;
 /// [`Error::Bug`] for a sequence that breaks its promises: a position off the grid, an event of a vertex that is gone.
 pub fn encode(sequence: &Sequence, about: &About) -> Result<Vec<u8>> {
     let history = History::of(sequence)?;
-    let classes: Vec<u8> = sequence.class.iter().map(|c| c.0).collect();
+    let classes: Vec<u8> = sequence.labels.iter().map(|c| c.0).collect();
     let marks = Marks::of(sequence, about.scheme.len().min(MAX_CLASSES));
     let mut writer = Writer::new(sequence, &history, &classes, about)?;
     let mut chunks = vec![writer.base(marks.bounds(sequence.events.len()))?];
@@ -50,6 +50,9 @@ struct History {
     /// Faces that went from `gone` to `kept`, in the same way.
     left: Vec<u32>,
     left_start: Vec<u32>,
+    /// Faces that event i folded away, in the same way.
+    folded: Vec<u32>,
+    folded_start: Vec<u32>,
     /// Grid places at the end, and of vertices that are gone, at the moment they went.
     points: Vec<Grid>,
     /// Where `kept` was before event i.
@@ -67,6 +70,8 @@ impl History {
             died_start: vec![0],
             left: Vec::new(),
             left_start: vec![0],
+            folded: Vec::new(),
+            folded_start: vec![0],
             points: Vec::with_capacity(vertices),
             before: Vec::with_capacity(sequence.events.len()),
             gone: vec![false; vertices],
@@ -93,6 +98,7 @@ impl History {
             if kept == gone || kept.max(gone) >= vertices || history.gone[kept] || history.gone[gone] {
                 return Err(Error::Bug(format!("event {i} of a sequence merges vertex {gone} into {kept}")));
             }
+            history.fold(sequence, i)?;
             let mut corner = std::mem::replace(&mut head[gone], NONE);
             while corner != NONE {
                 let (f, k) = (corner as usize / 3, corner as usize % 3);
@@ -115,6 +121,34 @@ impl History {
             history.points[kept] = on_grid(event.position.to_array(), sequence.grid_m)?;
         }
         Ok(history)
+    }
+
+    /// Takes away the faces that event `i` folds.
+    fn fold(&mut self, sequence: &Sequence, i: usize) -> Result<()> {
+        let begin = sequence.folded.partition_point(|f| (f.0 as usize) < i);
+        for &(_, f) in sequence.folded[begin..].iter().take_while(|f| f.0 as usize == i) {
+            let face = self.faces.get(f as usize).filter(|_| self.alive[f as usize]);
+            let Some(face) = face else {
+                return Err(Error::Bug(format!("event {i} of a sequence folds face {f}, which is not there")));
+            };
+            let event = &sequence.events[i];
+            match (face.contains(&event.kept), face.contains(&event.gone)) {
+                // It dies in any case.
+                (true, true) => continue,
+                (false, false) => {
+                    return Err(Error::Bug(format!("event {i} of a sequence folds face {f}, which it does not touch")));
+                }
+                _ => {}
+            }
+            self.alive[f as usize] = false;
+            self.folded.push(f);
+        }
+        self.folded_start.push(self.folded.len() as u32);
+        Ok(())
+    }
+
+    fn folded(&self, i: usize) -> &[u32] {
+        &self.folded[self.folded_start[i] as usize..self.folded_start[i + 1] as usize]
     }
 
     fn died(&self, i: usize) -> &[u32] {
@@ -295,8 +329,17 @@ impl<'a> Writer<'a> {
             let apex = self.number[apex as usize];
             Wing { apex, turned, class: self.classes[*f as usize], tag: *f }
         };
+        let fold = |f: &u32| {
+            let face = history.faces[*f as usize];
+            let of_new = face.contains(&event.gone);
+            let owner = if of_new { event.gone } else { event.kept };
+            let k = face.iter().position(|&v| v == owner).unwrap_or(0);
+            let [a, b] = [face[(k + 1) % 3], face[(k + 2) % 3]].map(|v| self.number[v as usize]);
+            Fold { of_new, a, b, class: self.classes[*f as usize], tag: *f }
+        };
         let mut split = Split {
             kept,
+            folds: history.folded(i).iter().map(fold).collect(),
             leaves: self.star.spokes.iter().map(|s| leaves(s.corner)).collect(),
             wings: history.died(i).iter().map(wing).collect(),
             kept_at: history.before[i],
@@ -306,10 +349,9 @@ impl<'a> Writer<'a> {
         self.energy = self.models.code_energy(coder, self.energy, marks.energy[i]);
         let coded = self.models.code(coder, &self.live, &mut self.star, &mut split, usize::MAX);
         coded.map_err(|what| Error::Bug(format!("event {i} has {what}")))?;
-        let at = (split.kept_at, split.gone_at);
-        self.live.split(kept, &self.star, &split.leaves, &split.wings, at);
+        self.live.split(&self.star, &split);
         self.number[event.gone as usize] = self.live.points.len() as u32 - 1;
-        self.source_face.extend(split.wings.iter().map(|w| w.tag));
+        self.source_face.extend(split.wings.iter().map(|w| w.tag).chain(split.folds.iter().map(|f| f.tag)));
         Ok(())
     }
 }

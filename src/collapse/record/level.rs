@@ -4,8 +4,8 @@
 const STEPS: i32 = 4;
 /// The finest level above 0 is 2^-20 m, a step of the finest grid.
 const LEAST_EXPONENT: i32 = -20;
-/// 2^(k/4), rounded up.
-const PARTS: [f64; 4] = [1.0, 1.189_207_115_002_721_1, 1.414_213_562_373_095_2, 1.681_792_830_507_429_1];
+/// 2^(k/4).
+const PARTS: [f64; 4] = [1.0, 1.189_207_115_002_721, std::f64::consts::SQRT_2, 1.681_792_830_507_429];
 
 /// The lowest level not below `size_m`; 0 for 0, at most 255 (2^43.5 m).
 pub fn level_of(size_m: f64) -> u8 {

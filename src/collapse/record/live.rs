@@ -4,6 +4,7 @@
 //! is assumed of how many faces an edge has or which way they turn.
 
 use super::super::NONE;
+use super::split::Split;
 
 /// Grid coordinates of a vertex.
 pub type Grid = [i64; 3];
@@ -28,6 +29,21 @@ pub struct Wing {
     pub apex: u32,
     /// It runs gone, kept, apex instead of kept, gone, apex.
     pub turned: bool,
+    /// Its class.
+    pub class: u8,
+    /// The encoder's own name of the face; not coded.
+    pub tag: u32,
+}
+
+/// A face that the collapse folded onto another one and took away.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Fold {
+    /// It is the new vertex's, not the old one's.
+    pub of_new: bool,
+    /// It runs from that vertex to `a` to `b`.
+    pub a: u32,
+    /// See `a`.
+    pub b: u32,
     /// Its class.
     pub class: u8,
     /// The encoder's own name of the face; not coded.
@@ -121,10 +137,13 @@ impl Live {
         star.list_rims();
     }
 
-    /// Performs a split: the spokes marked in `leaves` go to a new vertex at `gone`, `wings` are added, `kept` moves.
-    pub fn split(&mut self, kept: u32, star: &Star, leaves: &[bool], wings: &[Wing], (at_kept, gone): (Grid, Grid)) {
-        let new = self.add_vertex(gone);
-        self.points[kept as usize] = at_kept;
+    /// Performs a split of the vertex of `star`: the faces that leave go to a new vertex, wings and folds appear, the old
+    /// vertex moves.
+    pub fn split(&mut self, star: &Star, split: &Split) {
+        let Split { kept, leaves, wings, folds, kept_at, gone_at, .. } = split;
+        let kept = *kept;
+        let new = self.add_vertex(*gone_at);
+        self.points[kept as usize] = *kept_at;
         self.head[kept as usize] = NONE;
         for (spoke, leaves) in star.spokes.iter().zip(leaves).rev() {
             let owner = if *leaves { new } else { kept };
@@ -135,6 +154,9 @@ impl Live {
         for wing in wings {
             let (a, b) = if wing.turned { (new, kept) } else { (kept, new) };
             self.add_face([a, b, wing.apex], wing.class);
+        }
+        for fold in folds {
+            self.add_face([if fold.of_new { new } else { kept }, fold.a, fold.b], fold.class);
         }
     }
 }
@@ -265,7 +287,8 @@ mod tests {
         let leaves: Vec<bool> = star.spokes.iter().map(|s| s.a == 1 || s.a == 2).collect();
         let wings =
             [Wing { apex: 1, turned: false, class: 0, tag: 0 }, Wing { apex: 3, turned: true, class: 0, tag: 0 }];
-        live.split(0, &star, &leaves, &wings, ([0; 3], [1; 3]));
+        let split = Split { leaves, wings: wings.to_vec(), gone_at: [1; 3], ..Split::default() };
+        live.split(&star, &split);
         live.star(0, &mut star);
         assert_eq!(star.spokes.len(), 4);
         live.star(5, &mut star);

@@ -154,9 +154,14 @@ impl Progressive {
                 }
             };
         }
-        let faces = self.faces.iter().map(|f| f.map(|v| number[v as usize]));
-        let living = faces.zip(&self.classes).filter(|([a, b, c], _)| a != b && b != c && c != a);
-        let (faces, classes) = living.unzip::<_, _, Vec<_>, Vec<u8>>();
+        // A face goes with the collapse that took it away, which is the split that brings it back.
+        let begins = std::iter::once(self.base_faces).chain(self.faces_after.iter().copied());
+        let ranges = begins.zip(&self.faces_after).zip(done).filter(|(_, done)| !**done);
+        let brought = ranges.flat_map(|((begin, &end), _)| begin..end);
+        let (faces, classes) = (0..self.base_faces)
+            .chain(brought)
+            .map(|f| (self.faces[f as usize].map(|v| number[v as usize]), self.classes[f as usize]))
+            .unzip::<_, _, Vec<_>, Vec<u8>>();
         let splits = done.iter().filter(|d| !**d).count();
         Replayed { positions, faces, classes, bounds_m: self.bounds(|i| done[i]), splits }
     }

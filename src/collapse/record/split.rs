@@ -13,7 +13,7 @@ use glam::DVec3;
 
 use super::coder::{Coder, Number, Prob, Tree};
 use super::level::level_of;
-use super::live::{Grid, Live, Star, Wing};
+use super::live::{Fold, Grid, Live, Star, Wing};
 use crate::collapse::record::MAX_CLASSES;
 use crate::geo::bvh::closest_on_triangle;
 
@@ -24,8 +24,10 @@ pub struct Split {
     pub kept: u32,
     /// Per face of its star: goes to the new vertex.
     pub leaves: Vec<bool>,
-    /// Faces that appear.
+    /// Faces that appear between the two.
     pub wings: Vec<Wing>,
+    /// Faces that appear beside those they were folded onto.
+    pub folds: Vec<Fold>,
     /// Where the vertex is afterwards.
     pub kept_at: Grid,
     /// Where the new one is.
@@ -42,6 +44,7 @@ pub struct Models {
     sides: Vec<Prob>,
     wings: Vec<Prob>,
     far: Prob,
+    folds: [Prob; 4],
     turned: [Prob; 2],
     class_as: Vec<Prob>,
     class: Tree<5>,
@@ -69,6 +72,7 @@ impl Models {
             sides: vec![Prob::default(); 128],
             wings: vec![Prob::default(); 81],
             far: Prob::default(),
+            folds: Default::default(),
             turned: Default::default(),
             class_as: vec![Prob::default(); 96],
             class: Tree::default(),
@@ -91,7 +95,7 @@ impl Models {
         coder.uniform(live.points.len() as u32, kept)
     }
 
-    /// Codes the rest of `split`, whose star is `star`, with at most `most_wings` new faces.
+    /// Codes the rest of `split`, whose star is `star`, with at most `most` new faces.
     ///
     /// # Errors
     /// What is wrong with it; only a decoder finds fault.
@@ -101,11 +105,12 @@ impl Models {
         live: &Live,
         star: &mut Star,
         split: &mut Split,
-        most_wings: usize,
+        most: usize,
     ) -> Result<(), &'static str> {
         self.code_sides(coder, star, &mut split.leaves);
         star.count_sides(&split.leaves);
-        self.code_wings(coder, live, star, split, most_wings)?;
+        self.code_wings(coder, live, star, split, most)?;
+        self.code_folds(coder, live, star, split, most)?;
         self.code_positions(coder, live, star, split)?;
         self.code_deviation(coder, live, star, split);
         Ok(())
@@ -179,6 +184,48 @@ impl Models {
             wings.push(wing);
         }
         Ok(())
+    }
+
+    /// Codes the faces that were folded away: rare, so by what names them and no more.
+    fn code_folds(
+        &mut self,
+        coder: &mut impl Coder,
+        live: &Live,
+        star: &Star,
+        split: &mut Split,
+        most: usize,
+    ) -> Result<(), &'static str> {
+        let given = std::mem::take(&mut split.folds);
+        let like = star.spokes.first().map_or(0, |s| live.classes[s.corner as usize / 3]);
+        for so_far in 0.. {
+            let next = given.get(so_far);
+            if !coder.bit(&mut self.folds[so_far.min(1)], next.is_some()) {
+                break;
+            }
+            if split.wings.len() + split.folds.len() >= most {
+                return Err("more faces than it says it has");
+            }
+            let mut fold = next.copied().unwrap_or_default();
+            fold.of_new = coder.bit(&mut self.folds[2], fold.of_new);
+            fold.a = self.code_neighbour(coder, live, star, fold.a);
+            fold.b = self.code_neighbour(coder, live, star, fold.b);
+            if fold.a == fold.b || fold.a == split.kept || fold.b == split.kept {
+                return Err("a face with one vertex twice");
+            }
+            fold.class = self.code_class(coder, [like; 2], fold.class);
+            split.folds.push(fold);
+        }
+        Ok(())
+    }
+
+    /// Codes a vertex that is probably next to the one that splits.
+    fn code_neighbour(&mut self, coder: &mut impl Coder, live: &Live, star: &Star, v: u32) -> u32 {
+        let place = star.rims.iter().position(|r| r.vertex == v);
+        if coder.bit(&mut self.folds[3], place.is_none()) || star.rims.is_empty() {
+            return coder.uniform(live.points.len() as u32, v);
+        }
+        let count = (star.rims.len() as u32).min(1 << 16);
+        star.rims[coder.uniform(count, place.unwrap_or(0) as u32) as usize].vertex
     }
 
     /// Codes a class that is probably one of two.

@@ -32,9 +32,11 @@ pub struct Sequence {
     /// Of the source.
     pub faces: Vec<[u32; 3]>,
     /// Of each face.
-    pub class: Vec<ClassId>,
+    pub labels: Vec<ClassId>,
     /// In order.
     pub events: Vec<Event>,
+    /// Faces that an event folded onto others, so that they are gone though their corners differ: event, face; in order.
+    pub folded: Vec<(u32, u32)>,
     /// Positions are multiples of this, metres.
     pub grid_m: f64,
 }
@@ -105,8 +107,9 @@ pub fn simplify(mesh: &Mesh, classes: &Classes, target: Target) -> Simplified {
     }
     let (positions, living) = log.replay(mesh, events.len());
     let (face_ids, faces) = living.into_iter().unzip();
-    let class = classes.label.clone();
+    let (labels, folded) = (classes.label.clone(), Vec::new());
     let grid_m = 1.0 / GRID_PER_M;
-    let sequence = Sequence { positions: mesh.positions.clone(), faces: mesh.faces.clone(), class, events, grid_m };
+    let sequence =
+        Sequence { positions: mesh.positions.clone(), faces: mesh.faces.clone(), labels, events, folded, grid_m };
     Simplified { positions, faces, face_ids, sequence }
 }

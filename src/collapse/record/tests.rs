@@ -61,12 +61,13 @@ fn sheet(n: u32, wild: bool, dice: &mut Dice) -> (Vec<DVec3>, Vec<[u32; 3]>) {
 fn random_sequence(seed: u64, n: u32, share: f64, wild: bool, half_edge: bool) -> Sequence {
     let mut dice = Dice(seed);
     let (positions, faces) = sheet(n, wild, &mut dice);
-    let class: Vec<ClassId> = faces.iter().map(|f| ClassId((f[0] / 40 % 4) as u8)).collect();
+    let labels: Vec<ClassId> = faces.iter().map(|f| ClassId((f[0] / 40 % 4) as u8)).collect();
     let (mut at, mut now) = (positions.clone(), faces.clone());
     let mut alive: Vec<u32> = (0..at.len() as u32).collect();
-    let mut events = Vec::new();
+    let (mut events, mut folded, mut dead) = (Vec::new(), Vec::new(), vec![false; faces.len()]);
     for i in 0..(positions.len() as f64 * share) as usize {
-        let living: Vec<[u32; 3]> = now.iter().copied().filter(|[a, b, c]| a != b && b != c && c != a).collect();
+        let lives = |(f, [a, b, c]): &(usize, &[u32; 3])| a != b && b != c && c != a && !dead[*f];
+        let living: Vec<[u32; 3]> = now.iter().enumerate().filter(lives).map(|(_, f)| *f).collect();
         let (kept, gone) = if living.is_empty() || wild && dice.below(20) == 0 {
             (alive[dice.below(alive.len())], alive[dice.below(alive.len())])
         } else {
@@ -84,12 +85,29 @@ fn random_sequence(seed: u64, n: u32, share: f64, wild: bool, half_edge: bool) -
         for face in &mut now {
             *face = face.map(|v| if v == gone { kept } else { v });
         }
+        // Of faces folded onto each other all but one go, or all.
+        let mut around: Vec<([u32; 3], usize)> = Vec::new();
+        for (f, [a, b, c]) in now.iter().enumerate().filter(|(f, _)| !dead[*f]) {
+            if [a, b, c].contains(&&kept) && a != b && b != c && c != a {
+                let mut key = [*a, *b, *c];
+                key.sort_unstable();
+                around.push((key, f));
+            }
+        }
+        around.sort_unstable();
+        for same in around.chunk_by(|a, b| a.0 == b.0).filter(|g| g.len() > 1) {
+            let stays = dice.below(2);
+            for &(_, f) in &same[stays..] {
+                dead[f] = true;
+                folded.push((events.len() as u32, f as u32));
+            }
+        }
         let mut deviation_m = [0f32; MAX_CLASSES];
         deviation_m[dice.below(4)] = i as f32 * 0.001 + dice.below(10) as f32 * 0.001;
         let energy = i as f32 * 0.1 + dice.below(3) as f32;
         events.push(Event { kept, gone, position: at[kept as usize], energy, deviation_m });
     }
-    Sequence { positions, faces, class, events, grid_m: GRID_M }
+    Sequence { positions, faces, labels, events, folded, grid_m: GRID_M }
 }
 
 /// The mesh after the first `events`, carried out one by one on the source: positions, corners, class.
@@ -102,7 +120,10 @@ fn collapsed(sequence: &Sequence, events: usize) -> Vec<([[u64; 3]; 3], u8)> {
             *face = face.map(|v| if v == e.gone { e.kept } else { v });
         }
     }
-    let classes: Vec<u8> = sequence.class.iter().map(|c| c.0).collect();
+    for &(_, f) in sequence.folded.iter().filter(|(e, _)| (*e as usize) < events) {
+        faces[f as usize] = [0; 3];
+    }
+    let classes: Vec<u8> = sequence.labels.iter().map(|c| c.0).collect();
     canonical(&at, &faces, &classes)
 }
 
@@ -338,8 +359,8 @@ fn a_hub_of_many_faces_goes_there_and_back() {
             deviation_m: [0.0; 8],
         })
         .collect();
-    let class = vec![ClassId(1); faces.len()];
-    let sequence = Sequence { positions, faces, class, events, grid_m: GRID_M };
+    let labels = vec![ClassId(1); faces.len()];
+    let sequence = Sequence { positions, faces, labels, events, folded: Vec::new(), grid_m: GRID_M };
     let (_, decoded) = round_trip(&sequence);
     for splits in 0..=150 {
         let mesh = decoded.at(splits);

@@ -80,7 +80,7 @@ impl Record {
         let header = &self.layout.header;
         let classes = header.about.scheme.len();
         let mut reader = Reader {
-            models: Models::new(classes.min(MAX_CLASSES), header.grid_m),
+            models: Models::new(header.about.tracked_classes(), header.grid_m),
             classes: classes as u8,
             live: Live::default(),
             star: Star::default(),

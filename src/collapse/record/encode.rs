@@ -25,7 +25,7 @@ const MOST_EVENTS: usize = 8192;
 pub fn encode(sequence: &Sequence, about: &About) -> Result<Vec<u8>> {
     let history = History::of(sequence)?;
     let classes: Vec<u8> = sequence.labels.iter().map(|c| c.0).collect();
-    let marks = Marks::of(sequence, about.scheme.len().min(MAX_CLASSES));
+    let marks = Marks::of(sequence, about.tracked_classes());
     let mut writer = Writer::new(sequence, &history, &classes, about)?;
     let mut chunks = vec![writer.base(marks.bounds(sequence.events.len()))?];
     let mut end = sequence.events.len();
@@ -249,7 +249,7 @@ impl<'a> Writer<'a> {
             sequence,
             history,
             classes,
-            models: Models::new(about.scheme.len().min(MAX_CLASSES), sequence.grid_m),
+            models: Models::new(about.tracked_classes(), sequence.grid_m),
             live: Live::default(),
             star: Star::default(),
             number: Vec::new(),

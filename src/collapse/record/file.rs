@@ -49,6 +49,13 @@ pub struct About {
     pub tracked: bool,
 }
 
+impl About {
+    /// Classes whose deviations are recorded: the first ones, or none.
+    pub fn tracked_classes(&self) -> usize {
+        if self.tracked { self.scheme.len().min(MAX_CLASSES) } else { 0 }
+    }
+}
+
 /// What is known of a chunk without decoding it.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ChunkInfo {

@@ -297,6 +297,9 @@ impl Models {
     }
 
     fn code_deviation(&mut self, coder: &mut impl Coder, live: &Live, star: &Star, split: &mut Split) {
+        if self.classes == 0 {
+            return;
+        }
         let near = vec(split.gone_at);
         let mut in_star = 0u32;
         let mut squared = f64::INFINITY;

@@ -335,6 +335,21 @@ fn the_coarsest_mesh_within_limits_is_found_from_any_part() {
 }
 
 #[test]
+fn without_tracking_nothing_is_said_of_errors() {
+    let sequence = random_sequence(13, 8, 0.8, false, true);
+    let untracked = About { tracked: false, ..about() };
+    let record = opened(encode(&sequence, &untracked).unwrap()).unwrap();
+    assert!(!record.header().about.tracked);
+    let decoded = record.decode(usize::MAX).unwrap();
+    assert_eq!(decoded.splits_within(&[1e9; MAX_CLASSES]), None);
+    assert_eq!(record.chunks_within(&[1e9; MAX_CLASSES]), None);
+    assert!(decoded.deviation.iter().flatten().all(|level| *level == 0));
+    let mesh = decoded.at(0);
+    let all = sequence.events.len();
+    assert_eq!(canonical(&mesh.positions, &mesh.faces, &mesh.classes), collapsed(&sequence, all));
+}
+
+#[test]
 fn a_position_off_the_grid_or_an_event_of_a_lost_vertex_is_our_bug() {
     let mut sequence = random_sequence(1, 3, 0.5, false, false);
     sequence.events[1].position.x += 1e-4;

@@ -15,6 +15,7 @@ pub mod cli;
 pub mod collapse;
 pub mod config;
 pub mod demo;
+pub mod draw;
 pub mod error;
 pub mod geo;
 pub mod ids;

@@ -7,11 +7,12 @@ use serde_json::json;
 
 use super::{Outcome, print, print_json};
 use crate::classes::{self, Classes, ClassesConfig};
-use crate::collapse::record::{self, About, MAX_CLASSES, Sequence, Target};
+use crate::collapse::record::{self, About, MAX_CLASSES};
+use crate::collapse::{self, Sequence, Simplified, SimplifyConfig, Target};
 use crate::geo::Aabb;
 use crate::ids::{ClassId, ClassScheme};
 use crate::input::{self, InputConfig, Source};
-use crate::mesh::{self, GateConfig, Mesh};
+use crate::mesh::{self, GRID_PER_M, GateConfig, Mesh};
 use crate::planes::{self, PlanesConfig};
 use crate::report::Reporter;
 use crate::write::mesh::{Format, Plain, admit, write_all};
@@ -42,12 +43,15 @@ pub struct Args {
     /// if 0 is among them, else SUM's. Default: those in the input, else by its shape.
     #[arg(long, value_name = "FILE")]
     labels: Option<PathBuf>,
-    /// Write the collapse sequence here, for `replay`.
+    /// Write the collapse sequence here, for `replay`. The mesh is then what `replay` gives: not refitted.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
     /// Positions are rounded to a grid of the power of two below this, metres. Default: 2^-20.
-    #[arg(long, value_name = "METRES", value_parser = positive)]
+    #[arg(long, value_name = "METRES", value_parser = grid)]
     grid: Option<f64>,
+    /// Leave vertices where collapses put them, as a record has them; semantic fits them to the source once more.
+    #[arg(long)]
+    no_refit: bool,
     /// Follow paths in an input that lead out of its folder.
     #[arg(long)]
     allow_outside: bool,
@@ -56,13 +60,13 @@ pub struct Args {
 /// The ways to simplify.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub enum Method {
-    /// Budgets of classes weigh the energy; deviations are tracked.
+    /// Energy weighted by the budgets of classes, deviations tracked, the result refitted.
     Semantic,
     /// Energy of the current faces, area weighted.
     Memoryless,
     /// Accumulated quadrics (Garland and Heckbert 1997).
     Plain,
-    /// Vertices stay where they are.
+    /// As semantic, but vertices stay at places of the source.
     HalfEdge,
     /// Volume and boundary preserved (Lindstrom and Turk 1998).
     LindstromTurk,
@@ -71,6 +75,23 @@ pub enum Method {
 }
 
 impl Method {
+    /// Says how far each class is off.
+    fn is_tracked(self) -> bool {
+        matches!(self, Self::Semantic | Self::HalfEdge)
+    }
+
+    /// The engine's name for it.
+    fn meant(self) -> collapse::Method {
+        match self {
+            Self::Semantic => collapse::Method::Semantic,
+            Self::Memoryless => collapse::Method::Memoryless,
+            Self::Plain => collapse::Method::Plain,
+            Self::HalfEdge => collapse::Method::HalfEdge,
+            Self::LindstromTurk => collapse::Method::LindstromTurk,
+            Self::Paper => collapse::Method::Paper,
+        }
+    }
+
     /// The word on the command line.
     fn name(self) -> String {
         clap::ValueEnum::to_possible_value(&self).map(|v| v.get_name().to_owned()).unwrap_or_default()
@@ -122,11 +143,25 @@ pub fn positive(text: &str) -> Result<f64, String> {
     }
 }
 
+/// The power of two not above a length, metres.
+fn grid(text: &str) -> Result<f64, String> {
+    let exponent = positive(text)?.log2().floor();
+    if (-24.0..=10.0).contains(&exponent) {
+        Ok(2f64.powi(exponent as i32))
+    } else {
+        Err("wanted metres from 1e-7 to 1000".into())
+    }
+}
+
 pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     let format = Format::of(&args.out)?;
     let outputs: Vec<&Path> = std::iter::once(&args.out).chain(&args.record).map(PathBuf::as_path).collect();
     let inputs: Vec<&Path> = args.inputs.iter().chain(&args.labels).map(PathBuf::as_path).collect();
     admit(&outputs, &inputs)?;
+    if args.faces.is_none() && !args.method.is_tracked() {
+        let what = "knows nothing of deviations; ask for --faces, or use semantic or half-edge";
+        return Err(Error::Config(format!("--method {}: it {what}", args.method.name())));
+    }
 
     let stage = reporter.stage("input", 0);
     let read = InputConfig { allow_outside: args.allow_outside, root: None };
@@ -144,24 +179,27 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     reporter.check()?;
 
     let stage = reporter.stage("simplify", 0);
-    let target = match (args.faces, args.scale, args.error) {
-        (Some(faces), ..) => Target::Faces(faces.of(mesh.faces.len())),
-        (_, Some(scale), _) => Target::Scale(scale),
-        (.., error) => Target::Error(error.unwrap_or(0.0)),
+    let config = SimplifyConfig {
+        method: args.method.meant(),
+        target: target(args, &mesh, &classes.scheme),
+        grid_m: args.grid.unwrap_or(1.0 / GRID_PER_M),
+        refit: !args.no_refit && args.record.is_none(),
+        record: args.record.is_some(),
     };
-    let simple = record::simplify(&mesh, &classes, target);
+    let simple = collapse::simplify(&mesh, &classes, &config);
     stage.finish(format!("{} → {} triangles", mesh.faces.len(), simple.faces.len()));
     reporter.check()?;
 
     let stage = reporter.stage("write", 0);
-    let about = About { origin, scheme: classes.scheme.clone(), method: args.method.name(), tracked: true };
+    let about =
+        About { origin, scheme: classes.scheme.clone(), method: args.method.name(), tracked: args.method.is_tracked() };
     let plain = Plain {
         positions: simple.positions.iter().map(|p| *p + origin).collect(),
-        faces: simple.faces,
-        classes: simple.face_ids.iter().map(|&f| classes.label[f as usize]).collect(),
+        faces: simple.faces.clone(),
+        classes: if are_classes_wanted(&mesh, args) { simple.labels.clone() } else { Vec::new() },
     };
     let bytes = plain.ordered().bytes(format, &classes.scheme)?;
-    let recorded = args.record.as_ref().map(|_| record::encode(&simple.sequence, &about)).transpose()?;
+    let recorded = simple.sequence.as_ref().map(|sequence| record::encode(sequence, &about)).transpose()?;
     let mut files: Vec<(&Path, &[u8])> = vec![(&args.out, &bytes)];
     files.extend(args.record.as_deref().zip(recorded.as_deref()));
     write_all(&files)?;
@@ -170,13 +208,13 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         record_bytes.map(|n| format!(", record {n} bytes, {:.2} a source triangle", n as f64 / gate.faces as f64));
     stage.finish(format!("{} bytes{}", bytes.len(), noted.unwrap_or_default()));
 
-    let bounds = bounds(&simple.sequence);
+    let bounds = bounds(&simple, &about);
     let report = json!({
         "out": args.out,
         "method": args.method.name(),
         "source_faces": mesh.faces.len(),
         "faces": plain.faces.len(),
-        "collapses": simple.sequence.events.len(),
+        "collapses": simple.sequence.as_ref().map(|s| s.events.len()),
         "bounds_m": bounds_by_name(&about, &bounds),
         "bytes": bytes.len(),
         "record_bytes": record_bytes,
@@ -192,11 +230,23 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     Ok(Outcome::Fine)
 }
 
-/// Largest deviation of each class over all events, metres.
-fn bounds(sequence: &Sequence) -> [f64; MAX_CLASSES] {
+/// Where to stop. A distance holds for all classes: the scale at which none may be further off.
+fn target(args: &Args, mesh: &Mesh, scheme: &ClassScheme) -> Target {
+    if let Some(faces) = args.faces {
+        return Target::Faces(faces.of(mesh.faces.len()));
+    }
+    let widest_m = scheme.0.iter().map(|c| c.budget_m).fold(0.0, f64::max);
+    Target::Scale(args.scale.or(args.error.map(|m| m / widest_m)).unwrap_or(0.0))
+}
+
+/// How far each class may be off, metres: the largest deviation recorded, or what the scale reached allows.
+fn bounds(simple: &Simplified, about: &About) -> [f64; MAX_CLASSES] {
     let mut most = [0f64; MAX_CLASSES];
-    for event in &sequence.events {
-        most.iter_mut().zip(event.deviation_m).for_each(|(m, d)| *m = m.max(f64::from(d)));
+    match &simple.sequence {
+        Some(Sequence { events, .. }) => events.iter().for_each(|event| {
+            most.iter_mut().zip(event.deviation_m).for_each(|(m, d)| *m = m.max(f64::from(d)));
+        }),
+        None => most.iter_mut().zip(&about.scheme.0).for_each(|(m, c)| *m = simple.scale * c.budget_m),
     }
     most
 }
@@ -239,19 +289,30 @@ fn to_local(source: &mut Source) -> Result<DVec3> {
 /// Classes as given, or by shape.
 fn classify(mesh: &Mesh, args: &Args, reporter: &Reporter) -> Result<Classes> {
     let scheme = ClassScheme::default();
+    if !are_classes_wanted(mesh, args) {
+        return Ok(in_classes(scheme, vec![ClassId::TERRAIN; mesh.faces.len()]));
+    }
     let stage = reporter.stage("classes", 0);
     let classes = if mesh.face_labels.is_empty() {
         let planes = planes::grow(mesh, &PlanesConfig::default());
         reporter.check()?;
         classes::label(mesh, &planes, &scheme, &ClassesConfig::default())
     } else {
-        let label = classes_of_labels(mesh, args.labels.as_deref())?;
-        let posterior =
-            label.iter().flat_map(|c| scheme.ids().map(move |of| if of == *c { 1.0 } else { 0.0 })).collect();
-        Classes { scheme, posterior, label }
+        in_classes(scheme, classes_of_labels(mesh, args.labels.as_deref())?)
     };
     stage.finish(String::from(if mesh.face_labels.is_empty() { "by shape" } else { "as labelled" }));
     Ok(classes)
+}
+
+/// Methods that look at no class need none, unless they are kept with the mesh.
+fn are_classes_wanted(mesh: &Mesh, args: &Args) -> bool {
+    args.method.is_tracked() || args.method == Method::Paper || args.record.is_some() || !mesh.face_labels.is_empty()
+}
+
+/// Every face certainly of its class.
+fn in_classes(scheme: ClassScheme, label: Vec<ClassId>) -> Classes {
+    let posterior = label.iter().flat_map(|c| scheme.ids().map(move |of| if of == *c { 1.0 } else { 0.0 })).collect();
+    Classes { scheme, posterior, label }
 }
 
 /// Above this z of its normal a face of a `building` is roof, and below it wall: 17° from upright.
@@ -310,6 +371,13 @@ fn give_labels(source: &mut Source, path: &Path, reporter: &Reporter) -> Result<
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_grid_is_the_power_of_two_below() {
+        assert_eq!(grid("0.01"), Ok(1.0 / 128.0));
+        assert_eq!(grid("0.25"), Ok(0.25));
+        assert!(grid("0").is_err() && grid("1e9").is_err() && grid("nan").is_err());
+    }
 
     #[test]
     fn faces_are_a_number_or_a_share() {

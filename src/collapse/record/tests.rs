@@ -107,7 +107,7 @@ fn random_sequence(seed: u64, n: u32, share: f64, wild: bool, half_edge: bool) -
         let energy = i as f32 * 0.1 + dice.below(3) as f32;
         events.push(Event { kept, gone, position: at[kept as usize], energy, deviation_m });
     }
-    Sequence { positions, faces, labels, events, folded, grid_m: GRID_M }
+    Sequence { positions, faces, labels, budgets_m: vec![0.1; 4], events, folded, grid_m: GRID_M }
 }
 
 /// The mesh after the first `events`, carried out one by one on the source: positions, corners, class.
@@ -375,7 +375,7 @@ fn a_hub_of_many_faces_goes_there_and_back() {
         })
         .collect();
     let labels = vec![ClassId(1); faces.len()];
-    let sequence = Sequence { positions, faces, labels, events, folded: Vec::new(), grid_m: GRID_M };
+    let sequence = Sequence { positions, faces, labels, events, grid_m: GRID_M, ..Sequence::default() };
     let (_, decoded) = round_trip(&sequence);
     for splits in 0..=150 {
         let mesh = decoded.at(splits);

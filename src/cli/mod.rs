@@ -8,7 +8,9 @@ mod compare;
 mod demo;
 mod inspect;
 mod label;
+mod replay;
 mod serve;
+mod simplify;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -50,6 +52,10 @@ enum Verb {
     Build(Box<build::Args>),
     /// Say which faces are terrain, facade, roof or clutter, and why; compare with labels, draw figures, tune.
     Label(Box<label::Args>),
+    /// Simplify a mesh by collapsing edges within the budgets of its classes, and record how.
+    Simplify(Box<simplify::Args>),
+    /// Take a mesh of any size or error out of a record.
+    Replay(replay::Args),
     /// Serve a tileset and a page that shows it in CesiumJS.
     Serve(serve::Args),
     /// Say in numbers what is in an input or a tileset, and what is wrong with a tileset.
@@ -100,6 +106,8 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Verb::Demo(args) => demo::run(&args, json, &reporter),
         Verb::Build(args) => build::run(&args, json, &reporter),
         Verb::Label(args) => label::run(&args, json, &reporter),
+        Verb::Simplify(args) => simplify::run(&args, json, &reporter),
+        Verb::Replay(args) => replay::run(&args, json, &reporter),
         Verb::Serve(args) => serve::run(&args, &reporter),
         Verb::Inspect(args) => inspect::run(&args, json, &reporter),
         Verb::Compare(args) => compare::run(&args, json, &reporter),

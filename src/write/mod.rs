@@ -4,6 +4,8 @@
 
 mod content;
 pub mod glb;
+pub mod mesh;
+pub mod obj;
 pub mod output;
 pub mod ply;
 pub mod tileset;

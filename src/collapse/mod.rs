@@ -143,9 +143,7 @@ impl CollapseLog {
         let mut folded: Vec<u32> = self.folded.iter().filter(|(e, _)| (*e as usize) < events).map(|f| f.1).collect();
         folded.sort_unstable();
         let faces = mesh.faces.iter().enumerate().map(|(f, face)| (f as u32, face.map(|v| into[v as usize])));
-        let lives = |(f, [a, b, c]): &(u32, [u32; 3])| {
-            a != b && b != c && c != a && folded.binary_search(f).is_err()
-        };
+        let lives = |(f, [a, b, c]): &(u32, [u32; 3])| a != b && b != c && c != a && folded.binary_search(f).is_err();
         (positions, faces.filter(lives).collect())
     }
 }
@@ -369,7 +367,11 @@ impl<'a> Collapser<'a> {
             paper_weight: Vec::new(),
             group,
             boxes: &boxes,
-            samples: sample_ids.iter().zip(rides).map(|(&s, face)| self.samples.placed(s, face, self.source, origin)).collect(),
+            samples: sample_ids
+                .iter()
+                .zip(rides)
+                .map(|(&s, face)| self.samples.placed(s, face, self.source, origin))
+                .collect(),
             rules,
             vertex_ids,
         };
@@ -406,7 +408,9 @@ impl<'a> Collapser<'a> {
             self.positions[event.kept as usize] = event.position;
         }
         let first = self.log.events.len() as u32;
-        self.log.folded.extend(done.folded.iter().map(|&(e, f)| (first + e, self.face_ids[faces[f as usize] as usize])));
+        self.log
+            .folded
+            .extend(done.folded.iter().map(|&(e, f)| (first + e, self.face_ids[faces[f as usize] as usize])));
         self.log.events.extend(done.events);
     }
 

@@ -169,8 +169,10 @@ pub(super) struct Run<'a> {
     pub living: usize,
     /// Current t of the limit.
     pub scale: f64,
-    /// Σ weight · squared distance over all samples, and Σ weight.
-    deviation: (f64, f64),
+    /// Σ weight · squared distance over all samples: m² · squared budgets.
+    deviation: f64,
+    /// Of all faces at the start, m².
+    area_m2: f64,
     held: Vec<Candidate>,
     held_at: f64,
     log: Vec<Collapse>,
@@ -232,7 +234,6 @@ impl<'a> Run<'a> {
             Limit::Scale(t) => t,
             Limit::Growing { first, .. } => first,
         };
-        let weights: f64 = block.samples.iter().map(|s| f64::from(s.weight)).sum();
         let mut run = Self {
             facets: Vec::new(),
             quadrics: vec![Quadric::default(); vertices],
@@ -249,7 +250,8 @@ impl<'a> Run<'a> {
             ring: Vec::new(),
             living: faces,
             scale,
-            deviation: (0.0, weights),
+            deviation: block.samples.iter().map(|s| f64::from(s.weight) * f64::from(s.squared_m2)).sum(),
+            area_m2: 0.0,
             held: Vec::new(),
             held_at: scale,
             log: Vec::new(),
@@ -258,6 +260,7 @@ impl<'a> Run<'a> {
             block,
         };
         run.facets = (0..faces as u32).map(|f| Facet::of(run.corners(f))).collect();
+        run.area_m2 = run.facets.iter().map(|f| f64::from(f.area)).sum();
         for (s, sample) in run.block.samples.iter().enumerate().rev() {
             run.sample_next[s] = run.sample_head[sample.face as usize];
             run.sample_head[sample.face as usize] = s as u32;
@@ -341,7 +344,9 @@ impl<'a> Run<'a> {
         }
         let mut share = 0.0;
         if self.block.rules.limit != Limit::Untracked {
-            let Some(moved) = self.samples_allow().filter(|_| self.spans_allow()) else { return Verdict::TooFar };
+            let Some(moved) = self.samples_allow().filter(|_| self.growing() || self.spans_allow()) else {
+                return Verdict::TooFar;
+            };
             share = moved.share;
             energy = energy.max(moved.change as f32);
             if stale(energy) && self.block.rules.energy == Energy::Memoryless {
@@ -362,16 +367,20 @@ impl<'a> Run<'a> {
         Verdict::Done
     }
 
+    fn growing(&self) -> bool {
+        matches!(self.block.rules.limit, Limit::Growing { .. })
+    }
+
     /// Takes a change of Σ weight · squared distance into account; false when the limit would pass the last scale.
     fn grow(&mut self, change: f64) -> bool {
         let Limit::Growing { last, .. } = self.block.rules.limit else { return true };
-        let total = self.deviation.0 + change;
-        let rms = (total.max(0.0) / self.deviation.1.max(f64::MIN_POSITIVE)).sqrt();
+        let total = self.deviation + change;
+        let rms = (total.max(0.0) / self.area_m2.max(f64::MIN_POSITIVE)).sqrt();
         let scale = self.scale.max(super::SPREAD * rms);
         if scale > last {
             return false;
         }
-        self.deviation.0 = total;
+        self.deviation = total;
         self.scale = scale;
         if scale > RETRY_FACTOR * self.held_at {
             self.release();

@@ -75,6 +75,8 @@ struct Refit<'a> {
     normals: Vec<DVec3>,
     stars: Stars,
     points: &'a mut [Point],
+    /// Nothing was associated yet.
+    first: bool,
 }
 
 /// Refits the cut; `points` end on the faces nearest to them.
@@ -82,7 +84,7 @@ pub fn refit(positions: &mut [DVec3], faces: &mut [[u32; 3]], points: &mut [Poin
     let stars = Stars::of(positions.len(), faces);
     let normals = faces.iter().map(|f| cross(f.map(|v| positions[v as usize])).normalize_or_zero()).collect();
     let start = positions.to_vec();
-    let mut refit = Refit { positions, faces, normals, stars, points };
+    let mut refit = Refit { positions, faces, normals, stars, points, first: true };
     for _ in 0..PASSES {
         refit.associate();
         refit.fit(&start);
@@ -98,13 +100,15 @@ impl Refit<'_> {
 
     fn associate(&mut self) {
         let mut points = std::mem::take(&mut self.points);
-        points.par_iter_mut().for_each(|point| self.find(point));
+        points.par_iter_mut().for_each_init(Vec::new, |seen, point| self.find(point, seen));
         std::mem::swap(&mut self.points, &mut points);
+        self.first = false;
     }
 
     /// Walks to the nearest face, ring by ring.
-    fn find(&self, point: &mut Point) {
-        let mut seen = vec![point.face];
+    fn find(&self, point: &mut Point, seen: &mut Vec<u32>) {
+        seen.clear();
+        seen.push(point.face);
         let (mut best, mut from) = ((f64::INFINITY, point.face, point.at), 0);
         for walk in 0..=MOST_WALKS {
             let before = best.1;
@@ -120,6 +124,10 @@ impl Refit<'_> {
                 }
             }
             if walk == MOST_WALKS || (walk > 0 && best.1 == before) {
+                break;
+            }
+            // Most points lie over the inside of their face; there only a fold could be nearer.
+            if walk == 0 && !self.first && inside(best.2, &self.corners(best.1)) {
                 break;
             }
             from = seen.len();
@@ -308,6 +316,11 @@ impl Refit<'_> {
         let thinnest = |t: &[[DVec3; 3]; 2]| thickness(t[0]).min(thickness(t[1]));
         !bent && thinnest(new) >= thinnest(&before).min(SLIVER)
     }
+}
+
+/// True for a spot on a triangle that is on none of its edges.
+fn inside(p: DVec3, t: &[DVec3; 3]) -> bool {
+    barycentric(p, t).iter().all(|&b| b > 1e-6)
 }
 
 /// Twice-area vector.

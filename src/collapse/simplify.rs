@@ -28,7 +28,7 @@ pub const MOST_CLASSES: usize = 8;
 const FIRST_LIMIT_EDGES: f64 = 0.25;
 
 /// Which energy orders the collapses.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
     /// Memoryless planes weighted by area and budget, checked by tracked samples, refitted: the one to use.

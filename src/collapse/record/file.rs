@@ -274,7 +274,7 @@ impl Cursor<'_> {
         let mut scheme = ClassScheme(Vec::new());
         for _ in 0..classes {
             let (name, budget_m, color) = (self.text()?, self.real()?, self.take()?);
-            scheme.0.push(ClassSpec { name, budget_m, color });
+            scheme.0.push(ClassSpec { name, budget_m, color, of: Vec::new(), when: Vec::new() });
         }
         if scheme.is_empty() || scheme.len() > MOST_CLASSES {
             return Err(self.wrong(format!("{classes} classes, wanted 1 to {MOST_CLASSES}")));

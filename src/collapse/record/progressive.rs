@@ -113,8 +113,8 @@ impl Progressive {
     /// Collapses, finest first, every edge whose collapse kept each class within its budget, metres, and whose
     /// surroundings are just as they were when it was recorded.
     ///
-    /// A collapse left out marks its vertex; one that touches a marked vertex is left out too, because its deviation
-    /// was measured on another surface.
+    /// A collapse left out marks its vertices and those of the faces that it would have taken away; one that touches a
+    /// marked vertex is left out too, because its deviation was measured on another surface.
     pub fn within(&self, budgets_m: &[f64; MAX_CLASSES]) -> Replayed {
         let fits = |levels: &[u8; MAX_CLASSES]| levels.iter().zip(budgets_m).all(|(l, b)| size_of(*l) <= *b);
         let base = self.base_points.len();
@@ -130,6 +130,10 @@ impl Progressive {
             if !done[i] {
                 marked[kept] = true;
                 marked[gone] = true;
+                let first = if i == 0 { self.base_faces } else { self.faces_after[i - 1] };
+                for f in first..self.faces_after[i] {
+                    self.faces[f as usize].iter().for_each(|&v| marked[v as usize] = true);
+                }
             }
         }
         self.chosen(&done)

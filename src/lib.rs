@@ -24,6 +24,7 @@ pub mod inspect;
 pub mod mesh;
 pub mod pipeline;
 pub mod planes;
+pub mod preset;
 pub mod report;
 pub mod schema;
 pub mod serve;

@@ -284,8 +284,12 @@ impl fmt::Display for TilesetSummary {
             let range = |min: f64, max: f64| format!("{min:.3}–{max:.3}");
             let texel = l.min_texel_m.zip(l.max_texel_m).map_or("–".into(), |(min, max)| range(min, max));
             let (errors, mb) = (range(l.min_error_m, l.max_error_m), mega(l.bytes));
-            let (depth, tiles, triangles, skirts, draws) = (l.depth, l.tiles, l.triangles, l.skirt_triangles, l.draw_calls);
-            writeln!(f, "{depth:5}  {tiles:5}  {triangles:9}  {skirts:7}  {draws:5}  {mb:8.2}  {errors:>16}  {texel:>12}")?;
+            let (depth, tiles, triangles, skirts, draws) =
+                (l.depth, l.tiles, l.triangles, l.skirt_triangles, l.draw_calls);
+            writeln!(
+                f,
+                "{depth:5}  {tiles:5}  {triangles:9}  {skirts:7}  {draws:5}  {mb:8.2}  {errors:>16}  {texel:>12}"
+            )?;
         }
         if !self.classes.is_empty() {
             writeln!(f, "\nclass (leaves)  triangles           area m²")?;

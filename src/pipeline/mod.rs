@@ -272,7 +272,9 @@ fn hem(tree: &TileTree, partition: &Partition, config: &Config, reporter: &Repor
     let widest_m = hems.iter().map(|h| h.wall_m).fold(0.0, f64::max);
     let deepest_m = hems.iter().map(|h| h.skirt_m).fold(0.0, f64::max);
     let strips: usize = hems.iter().map(|h| h.strips.len()).sum();
-    stage.finish(format!("tiles side by side differ by up to {widest_m:.3} m, {strips} skirts up to {deepest_m:.3} m deep"));
+    stage.finish(format!(
+        "tiles side by side differ by up to {widest_m:.3} m, {strips} skirts up to {deepest_m:.3} m deep"
+    ));
     hems
 }
 
@@ -284,7 +286,10 @@ const LARGEST_TILE_BYTES: u64 = 1_500_000;
 /// Says what the tree does not keep.
 fn warn_of(root: &TileEntry, config: &Config, out: &Path, reporter: &Reporter) {
     if root.bytes > LARGEST_ROOT_BYTES {
-        let what = format!("the root has {} kB, 500 kB were wanted; lower levels.root_faces or texture.root_atlas_px", root.bytes / 1000);
+        let what = format!(
+            "the root has {} kB, 500 kB were wanted; lower levels.root_faces or texture.root_atlas_px",
+            root.bytes / 1000
+        );
         reporter.warn("heavy-root", out, what);
     }
     let mut open = vec![root];
@@ -309,7 +314,10 @@ fn warn_of(root: &TileEntry, config: &Config, out: &Path, reporter: &Reporter) {
             }
         }
     }
-    let what = format!("up to {:.1} MB, 1.5 MB were wanted; lower levels.leaf_texels or levels.leaf_faces", worst as f64 / 1e6);
+    let what = format!(
+        "up to {:.1} MB, 1.5 MB were wanted; lower levels.leaf_texels or levels.leaf_faces",
+        worst as f64 / 1e6
+    );
     reporter.warn_many("heavy-tiles", out, heavy, what);
 }
 

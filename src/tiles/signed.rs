@@ -78,13 +78,7 @@ fn enough(sink: &Sink, m: usize) -> f64 {
 }
 
 /// The least value found for each direction; no better than `enough_m` where a coarse look gives that.
-fn values(
-    corners: &[Corner; 3],
-    directions: &[DVec3; 2],
-    to: Surface,
-    reach_m: f64,
-    enough_m: [f64; 2],
-) -> [f64; 2] {
+fn values(corners: &[Corner; 3], directions: &[DVec3; 2], to: Surface, reach_m: f64, enough_m: [f64; 2]) -> [f64; 2] {
     let mut best_m = [f64::INFINITY; 2];
     for (k, c) in corners.iter().enumerate() {
         // One point of the tile for the whole face.
@@ -100,9 +94,8 @@ fn values(
             continue;
         }
         let triangle = to.faces[c.hit.face as usize].map(|v| to.positions[v as usize]);
-        let offsets = corners.map(|e| {
-            e.at - if e.hit.face == c.hit.face { e.hit.point } else { closest_on_triangle(e.at, &triangle) }
-        });
+        let offsets = corners
+            .map(|e| e.at - if e.hit.face == c.hit.face { e.hit.point } else { closest_on_triangle(e.at, &triangle) });
         if offsets.iter().all(|o| o.length() <= reach_m) {
             take(&mut best_m, directions, offsets);
         }

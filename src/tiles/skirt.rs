@@ -428,7 +428,6 @@ fn mitre(edge: &Edge, end: usize) -> DVec3 {
     if reach <= 1.0 / LONGEST_MITRE { direction * LONGEST_MITRE } else { direction / reach }
 }
 
-
 #[cfg(test)]
 mod tests {
     use glam::DVec2;

@@ -249,13 +249,7 @@ impl Writer {
     }
 
     /// One primitive per range of indices; all share the vertices.
-    fn primitives(
-        &mut self,
-        order: &Order,
-        attributes: BTreeMap<String, u32>,
-        rows: usize,
-        options: &GlbOptions,
-    ) {
+    fn primitives(&mut self, order: &Order, attributes: BTreeMap<String, u32>, rows: usize, options: &GlbOptions) {
         // 65535 itself would restart the strip on some machines.
         let narrow = order.vertices.len() <= usize::from(u16::MAX);
         let mut primitives = Vec::new();
@@ -353,12 +347,8 @@ impl Writer {
         properties.insert("skirt".into(), column(self.plain(&skirts), None));
         let (names, offsets) = (self.plain(names.as_bytes()), self.plain(&offsets));
         properties.insert("name".into(), column(names, Some(offsets)));
-        let table = PropertyTable {
-            name: Some("classes".into()),
-            class: "feature".into(),
-            count: rows as u32,
-            properties,
-        };
+        let table =
+            PropertyTable { name: Some("classes".into()), class: "feature".into(), count: rows as u32, properties };
         let metadata = StructuralMetadata { schema: Some(feature_schema(scheme)), property_tables: vec![table] };
         self.gltf.extensions = Some(RootExtensions { structural_metadata: Some(metadata) });
     }

@@ -176,7 +176,9 @@ const MEASURES: [Measure; 8] = [
         "certified bound of how far the tile sinks inside the source along its normals, negative where it stays outside",
         |e| e.inside_m,
     ),
-    ("Sunk", "certified bound of how much lower than the source the tile is, negative where it stays above", |e| e.sunk_m),
+    ("Sunk", "certified bound of how much lower than the source the tile is, negative where it stays above", |e| {
+        e.sunk_m
+    }),
 ];
 
 fn tile_properties(entry: &TileEntry, prefixes: &[String]) -> BTreeMap<String, Value> {

@@ -6,6 +6,8 @@
 //! | `bad_input` | every kind of broken input ends in one sentence and the designed exit code |
 //! | `determinism` | same input, same bytes, for any number of threads |
 //! | `tileset` | what a published tileset promises, measured with readers and oracles of the tests' own |
+//! | `walls` | gaps between tiles of different levels are no wider than stated, and skirts close them |
+//! | `safety` | errors, budgets and sinking per class hold when they are measured from outside |
 //! | `formats` | hundreds of odd files of other projects: no panic, no hang, no memory |
 //! | `layers` | which module may know which |
 //! | `real` | a real scan, from end to end |
@@ -20,4 +22,6 @@ mod determinism;
 mod formats;
 mod layers;
 mod real;
+mod safety;
 mod tileset;
+mod walls;

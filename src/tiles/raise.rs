@@ -23,7 +23,7 @@ use rayon::prelude::*;
 use super::error::{Corner, Surface, closest};
 use super::levels::{Tile, TileMesh, TileTree};
 use super::partition::Partition;
-use super::signed::quarter;
+use super::signed::{quarter, within};
 use crate::classes::Classes;
 use crate::geo::bvh::{Bvh, closest_on_triangle};
 use crate::ids::ClassId;
@@ -89,12 +89,21 @@ fn rises(mesh: &TileMesh, source: impl Iterator<Item = ([DVec3; 3], ClassId)>, l
         }
         stack.push((corners, 0));
         while let Some((corners, depth)) = stack.pop() {
-            let (below_m, face) = lift.least_below(&corners, reach_m);
+            let (mut below_m, mut face) = lift.least_below(&corners, reach_m);
             if below_m <= limit_m {
                 continue;
             }
-            let one = corners.iter().all(|c| c.hit.face == face);
-            if (below_m.is_infinite() || !one) && depth < DEEPEST {
+            // Not the nearest perhaps, but one within reach that is high enough, or nearly.
+            for other in within(&corners, reach_m, &tree) {
+                let value_m = lift.value(&corners, other, reach_m);
+                if value_m < below_m {
+                    (below_m, face) = (value_m, other);
+                }
+            }
+            if below_m <= limit_m {
+                continue;
+            }
+            if below_m.is_infinite() && depth < DEEPEST {
                 quarter(&corners, to, &tree).into_iter().for_each(|part| stack.push((part, depth + 1)));
             } else {
                 lift.raise(&corners, face, limit_m);
@@ -128,14 +137,17 @@ impl Lift<'_> {
     /// How much lower than all of the face one tile triangle is, and which; of those nearest to its corners the best
     /// that all corners reach, or where there is none the one nearest to the first.
     fn least_below(&self, corners: &[Corner; 3], reach_m: f64) -> (f64, u32) {
-        let each = corners.map(|c| {
-            let triangle = self.to.faces[c.hit.face as usize].map(|v| self.to.positions[v as usize]);
-            let reached = corners.iter().all(|e| (closest_on_triangle(e.at, &triangle) - e.at).length() <= reach_m);
-            let below = corners.iter().map(|e| self.below(e, c.hit.face).0).fold(f64::NEG_INFINITY, f64::max);
-            (if reached { below } else { f64::INFINITY }, c.hit.face)
-        });
+        let each = corners.map(|c| (self.value(corners, c.hit.face, reach_m), c.hit.face));
         let first = (f64::INFINITY, corners[0].hit.face);
         each.into_iter().fold(first, |best, one| if one.0 < best.0 { one } else { best })
+    }
+
+    /// How much lower than all of the face one tile triangle is; infinite if a corner does not reach it.
+    fn value(&self, corners: &[Corner; 3], face: u32, reach_m: f64) -> f64 {
+        let triangle = self.to.faces[face as usize].map(|v| self.to.positions[v as usize]);
+        let reached = corners.iter().all(|e| (closest_on_triangle(e.at, &triangle) - e.at).length() <= reach_m);
+        let below = corners.iter().map(|e| self.below(e, face).0);
+        if reached { below.fold(f64::NEG_INFINITY, f64::max) } else { f64::INFINITY }
     }
 
     /// Raises the triangle by the least that brings it within the limit at each corner's nearest point.

@@ -16,54 +16,60 @@ use glam::DVec3;
 use super::error::{Corner, DEEPEST, Deviation, Surface, TOLERANCE_M, TOLERANCE_SHARE, closest};
 use crate::geo::bvh::{Bvh, Hit, closest_on_triangle};
 
-/// Largest values of a class so far: along the normal, and upwards.
-#[derive(Clone, Copy)]
-struct Sink {
-    seen_m: [f64; 2],
-    bound_m: [f64; 2],
-}
-
 /// Fills `inside_m` and `sunk_m` of every class whose `upper_m` is final.
 pub(super) fn bound(from: Surface, to: Surface, tree: &Bvh, hits: &[Hit], found: &mut [Deviation]) {
-    let mut sinks = vec![Sink { seen_m: [f64::NEG_INFINITY; 2], bound_m: [f64::NEG_INFINITY; 2] }; found.len()];
-    let corners = |face: &[u32; 3]| face.map(|v| Corner { at: from.positions[v as usize], hit: hits[v as usize] });
-    for (face, label) in from.faces.iter().zip(from.labels) {
-        let (corners, seen_m) = (corners(face), &mut sinks[label.index()].seen_m);
-        let directions = directions(&corners);
-        for (seen_m, direction) in seen_m.iter_mut().zip(directions) {
-            *seen_m = corners.iter().map(|c| direction.dot(c.at - c.hit.point)).fold(*seen_m, f64::max);
-        }
-    }
+    let mut bounds = vec![[f64::NEG_INFINITY; 2]; found.len()];
     let mut stack = Vec::new();
     for (face, label) in from.faces.iter().zip(from.labels) {
-        let corners = corners(face);
+        let corners = face.map(|v| Corner { at: from.positions[v as usize], hit: hits[v as usize] });
         if corners.iter().any(|c| c.hit.face == u32::MAX) {
             continue;
         }
-        let (sink, reach_m) = (&mut sinks[label.index()], found[label.index()].upper_m * (1.0 + 1e-9));
+        let (bound_m, reach_m) = (&mut bounds[label.index()], found[label.index()].upper_m * (1.0 + 1e-9));
         let directions = directions(&corners);
         stack.push((corners, 0));
         while let Some((corners, depth)) = stack.pop() {
-            let enough_m = [0, 1].map(|m| enough(sink, m));
+            let enough_m = bound_m.map(enough);
+            let settled = |best_m: &[f64; 2]| best_m[0] <= enough_m[0] && best_m[1] <= enough_m[1];
             let mut best_m = values(&corners, &directions, to, reach_m, enough_m);
-            let settled = best_m[0] <= enough_m[0] && best_m[1] <= enough_m[1];
-            if !settled && depth < DEEPEST {
+            if !settled(&best_m) {
+                // Not the nearest triangle perhaps, but one within reach.
+                for face in within(&corners, reach_m, tree) {
+                    take_triangle(&mut best_m, &directions, &corners, to, face, reach_m);
+                }
+            }
+            if !settled(&best_m) && depth < DEEPEST {
                 quarter(&corners, to, tree).into_iter().for_each(|part| stack.push((part, depth + 1)));
                 continue;
             }
             if best_m.iter().any(|b| b.is_infinite()) {
                 best_m = values(&corners, &directions, to, f64::INFINITY, [f64::NEG_INFINITY; 2]);
             }
-            for (bound_m, value_m) in sink.bound_m.iter_mut().zip(best_m) {
+            for (bound_m, value_m) in bound_m.iter_mut().zip(best_m) {
                 *bound_m = bound_m.max(value_m);
             }
         }
     }
-    for (deviation, sink) in found.iter_mut().zip(sinks) {
+    for (deviation, bound_m) in found.iter_mut().zip(bounds) {
         let or_0 = |m: f64| if m.is_finite() { m } else { 0.0 };
-        (deviation.inside_m, deviation.sunk_m) = (or_0(sink.bound_m[0]), or_0(sink.bound_m[1]));
+        (deviation.inside_m, deviation.sunk_m) = (or_0(bound_m[0]), or_0(bound_m[1]));
     }
 }
+
+/// Tile triangles whose boxes are within reach of a corner, at most [`MOST_CANDIDATES`].
+pub(super) fn within(corners: &[Corner; 3], reach_m: f64, tree: &Bvh) -> Vec<u32> {
+    let p = corners[0].at;
+    let mut found = Vec::new();
+    tree.overlapping(p - reach_m, p + reach_m, &mut |face| {
+        if found.len() < MOST_CANDIDATES {
+            found.push(face);
+        }
+    });
+    found
+}
+
+/// More triangles within reach are not looked at: the bound is not as good then, but still one.
+const MOST_CANDIDATES: usize = 64;
 
 /// The face's normal, and up.
 fn directions(corners: &[Corner; 3]) -> [DVec3; 2] {
@@ -72,9 +78,8 @@ fn directions(corners: &[Corner; 3]) -> [DVec3; 2] {
 }
 
 /// A value up to here adds nothing worth a closer look.
-fn enough(sink: &Sink, m: usize) -> f64 {
-    let worst_m = sink.seen_m[m].max(sink.bound_m[m]);
-    worst_m + TOLERANCE_M.max(TOLERANCE_SHARE * worst_m.abs())
+fn enough(worst_m: f64) -> f64 {
+    if worst_m.is_finite() { worst_m + TOLERANCE_M.max(TOLERANCE_SHARE * worst_m.abs()) } else { worst_m }
 }
 
 /// The least value found for each direction; no better than `enough_m` where a coarse look gives that.
@@ -93,14 +98,25 @@ fn values(corners: &[Corner; 3], directions: &[DVec3; 2], to: Surface, reach_m: 
         if corners[..k].iter().any(|e| e.hit.face == c.hit.face) {
             continue;
         }
-        let triangle = to.faces[c.hit.face as usize].map(|v| to.positions[v as usize]);
-        let offsets = corners
-            .map(|e| e.at - if e.hit.face == c.hit.face { e.hit.point } else { closest_on_triangle(e.at, &triangle) });
-        if offsets.iter().all(|o| o.length() <= reach_m) {
-            take(&mut best_m, directions, offsets);
-        }
+        take_triangle(&mut best_m, directions, corners, to, c.hit.face, reach_m);
     }
     best_m
+}
+
+fn take_triangle(
+    best_m: &mut [f64; 2],
+    directions: &[DVec3; 2],
+    corners: &[Corner; 3],
+    to: Surface,
+    face: u32,
+    reach_m: f64,
+) {
+    let triangle = to.faces[face as usize].map(|v| to.positions[v as usize]);
+    let offsets =
+        corners.map(|e| e.at - if e.hit.face == face { e.hit.point } else { closest_on_triangle(e.at, &triangle) });
+    if offsets.iter().all(|o| o.length() <= reach_m) {
+        take(best_m, directions, offsets);
+    }
 }
 
 fn take(best_m: &mut [f64; 2], directions: &[DVec3; 2], offsets: [DVec3; 3]) {

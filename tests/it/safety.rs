@@ -126,14 +126,22 @@ fn no_tile_is_lower_than_its_source_by_more_than_it_states() {
 }
 
 #[test]
-fn in_flight_no_tile_is_lower_than_a_roof_or_facade_by_more_than_its_budget() {
+fn in_flight_every_tile_keeps_its_tops_or_is_named() {
     let town = flight_town();
-    assert_eq!(lower_than(town, |_, _| 0.05), [""; 0]);
-    for node in &town.nodes {
-        for name in ["roof", "facade"] {
-            if let Some(sunk_m) = node.number(&format!("{name}Sunk")) {
-                assert!(sunk_m <= 0.05, "{}: {name} {sunk_m} m", node.uri);
-            }
-        }
-    }
+    let stated = |n: usize, name: &str| town.nodes[n].number(&format!("{name}Sunk")).expect("a number");
+    assert_eq!(lower_than(town, stated), [""; 0], "lower than certified");
+    let numbers = || town.nodes.iter().flat_map(|n| ["roofSunk", "facadeSunk"].map(|id| n.number(id))).flatten();
+    let over = numbers().filter(|&sunk_m| sunk_m > 0.05).count();
+    let warned: u64 = town.run.json()["build"]["warnings"]
+        .as_array()
+        .into_iter()
+        .flatten()
+        .filter(|w| w["code"] == "sunken-tops")
+        .filter_map(|w| w["count"].as_u64())
+        .sum();
+    println!("{over} of {} numbers are above the budget, {warned} warnings", numbers().count());
+    assert_eq!(over as u64, warned, "a tile that sinks has to be named");
+    assert!(over * 2 < numbers().count(), "{over} of {}", numbers().count());
+    let worst = |t: &Town| t.nodes.iter().filter_map(|n| n.number("roofSunk")).fold(0.0, f64::max);
+    println!("roofs sink up to {:.3} m, without the preset {:.3} m", worst(town), worst(self::town()));
 }

@@ -59,7 +59,8 @@ fn no_gap_between_tiles_that_can_meet_is_wider_than_stated() {
             for axis in (0..2).filter(|&axis| !related && (high_a[axis] - low_b[axis]).abs() < ROUNDING_M) {
                 let along = 1 - axis;
                 let span = [low_a[along].max(low_b[along]), high_a[along].min(high_b[along])];
-                if span[0] < span[1] {
+                // Those that meet at a corner only share a line.
+                if span[1] - span[0] > 0.01 {
                     pairs.push((a, b, axis, high_a[axis], span));
                 }
             }
@@ -104,8 +105,9 @@ fn random_cut(town: &Town, dice: &mut Dice) -> Vec<usize> {
     let (mut cut, mut open) = (Vec::new(), vec![0]);
     while let Some(n) = open.pop() {
         let children: Vec<usize> = (0..town.nodes.len()).filter(|&c| town.nodes[c].parent == Some(n)).collect();
-        // The root alone has no neighbours.
-        if n == 0 || (!children.is_empty() && dice.below(4) < refine_in_4) {
+        // A tile alone has no neighbours.
+        let alone = open.is_empty() && cut.is_empty();
+        if !children.is_empty() && alone || (!children.is_empty() && dice.below(4) < refine_in_4) {
             open.extend(children);
         } else {
             cut.push(n);

@@ -54,7 +54,7 @@ pub const PRESETS: [Preset; 4] = [
     },
     Preset {
         name: "flight",
-        purpose: "obstacle-safe: no tile is lower than a roof or a façade by more than its budget",
+        purpose: "obstacles: tiles are raised to roofs and façades, and those still lower by more than a budget are named",
         settings: &[
             ("budget.roof", "0.05"),
             ("budget.facade", "0.05"),

@@ -13,7 +13,8 @@
 //! not asserted here: `signed` certifies each tile afterwards, and the build warns where it cannot.
 //!
 //! # Limits
-//! A lost chimney lifts the roof around it. Clutter (trees, masts, cranes) is not kept.
+//! Budgets are not reached everywhere: on the demo quarter the two finest simplified levels end 0.07 to 0.13 m low, the root
+//! 0.5 (roofs) to 1.1 m (façades). A lost chimney lifts the roof around it, and two-sided errors grow. Clutter (trees, masts, cranes) is not kept.
 
 use std::collections::HashMap;
 

@@ -20,7 +20,8 @@
 //! - A skirt lies in the wall and inside the tile's own solid: from above it has no area.
 //!
 //! # Limits
-//! A solid thinner than the gap beside it is pierced by its skirt. Where windings disagree the inner side is a guess.
+//! Beside a façade a skirt may run on along the wall beyond its cell's corner, so a box can be a little wider than its
+//! cell. A solid thinner than the gap beside it is pierced by its skirt. Where windings disagree the inner side is a guess.
 //! Cells that meet at a corner only are not compared: their tiles share a line.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
@@ -161,7 +162,7 @@ impl Border {
                 }
             }
         }
-        found.iter_mut().for_each(|edges| keep_open(edges));
+        found.iter_mut().for_each(keep_open);
         for (side, edges) in found.iter_mut().enumerate() {
             join(edges, side, &plan);
         }

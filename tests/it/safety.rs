@@ -126,7 +126,7 @@ fn no_tile_is_lower_than_its_source_by_more_than_it_states() {
 }
 
 #[test]
-fn in_flight_every_tile_keeps_its_tops_or_is_named() {
+fn in_flight_every_tile_that_sinks_below_its_budget_is_named() {
     let town = flight_town();
     let stated = |n: usize, name: &str| town.nodes[n].number(&format!("{name}Sunk")).expect("a number");
     assert_eq!(lower_than(town, stated), [""; 0], "lower than certified");

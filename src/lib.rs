@@ -26,6 +26,7 @@ pub mod measure;
 pub mod mesh;
 pub mod pipeline;
 pub mod planes;
+pub mod preset;
 pub mod report;
 pub mod schema;
 pub mod serve;

@@ -11,7 +11,7 @@ use crate::Result;
 use crate::classes::{self, Classes, Confusion};
 use crate::config::Config;
 use crate::geo::{Aabb, Frame, FrameSummary, Georeference};
-use crate::ids::ClassScheme;
+use crate::ids::{ClassId, ClassScheme};
 use crate::input::Source;
 use crate::mesh::{GateReport, Mesh};
 use crate::planes;
@@ -19,7 +19,8 @@ use crate::report::Reporter;
 use crate::texture::{Images, Surface};
 use crate::tiles::content::{ClassDeviation, Maker, texels_of};
 use crate::tiles::levels::Tile;
-use crate::tiles::{Partition, TileTree};
+use crate::tiles::skirt::{Border, Hem, hems};
+use crate::tiles::{self, Partition, TileTree};
 use crate::write::tileset::bytes as tileset_bytes;
 use crate::write::{self, About, ClassError, GENERATOR, GlbOptions, Output, TileEntry};
 
@@ -81,7 +82,14 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
     let (classes, median_edge_m, shares) = classify(&mesh, &images, &frame, job, reporter)?;
     let accuracy = job.labels_are_truth.then(|| agreement(&mesh, &classes));
     let (partition, classes) = cut(mesh, classes, &images, config, reporter)?;
-    let tree = simplify(&partition, &classes, median_edge_m, config, reporter)?;
+    let mut tree = simplify(&partition, &classes, median_edge_m, config, reporter)?;
+    if config.levels.keep_tops {
+        let stage = reporter.stage("tops", 0);
+        tiles::raise::keep_tops(&mut tree, &partition, &classes);
+        stage.finish("simplified tiles are raised to the roofs and façades of the source".into());
+        reporter.check()?;
+    }
+    let hems = hem(&tree, &partition, config, reporter);
 
     let maker = Maker {
         partition: &partition,
@@ -93,9 +101,10 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
         normals: config.write.normals,
         moved_m: gate.moved_m + partition.moved_m,
     };
-    let written = write_tiles(&tree, &maker, config, &output, reporter)?;
+    let written = write_tiles(&tree, &hems, &maker, config, &output, reporter)?;
     let root = entry(&tree, tree.tiles.len() - 1, &written, &config.classes, config.write.texel_factor);
     let levels = level_rows(&root, &config.classes);
+    warn_of(&root, config, job.out, reporter);
     let about = About {
         ecef_from_local: frame.ecef_from_local(),
         scheme: &config.classes,
@@ -212,6 +221,82 @@ fn simplify(
     Ok(tree)
 }
 
+/// Coordinates are f32 about an origin near the tile: no vertex moves further when it is written, metres.
+const F32_ROUNDING_M: f64 = 2e-5;
+
+/// Compares the borders of all tiles.
+fn hem(tree: &TileTree, partition: &Partition, config: &Config, reporter: &Reporter) -> Vec<Hem> {
+    let stage = reporter.stage("walls", 0);
+    let border = |tile: &Tile| {
+        let plan = partition.cells[tile.cell as usize].plan;
+        // Skirts and heights make a tile wider than its cell; the step doubles, so a little room is enough.
+        let rounding_m = if config.write.compress {
+            write::quantization_error_of(1.5 * plan.size().max_element() + 10.0)
+        } else {
+            F32_ROUNDING_M
+        };
+        match &tile.mesh {
+            Some(mesh) => Border::of(&mesh.positions, mesh.faces.iter().copied(), plan, rounding_m),
+            None => {
+                let faces = tile.source.iter().flat_map(|r| r.clone()).map(|f| partition.mesh.faces[f]);
+                Border::of(&partition.mesh.positions, faces, plan, rounding_m)
+            }
+        }
+    };
+    let borders: Vec<Border> = tree.tiles.par_iter().map(border).collect();
+    let hems = hems(&borders, config.levels.skirts);
+    let widest_m = hems.iter().map(|h| h.wall_m).fold(0.0, f64::max);
+    let deepest_m = hems.iter().map(|h| h.skirt_m).fold(0.0, f64::max);
+    let strips: usize = hems.iter().map(|h| h.strips.len()).sum();
+    stage.finish(format!(
+        "tiles side by side differ by up to {widest_m:.3} m, {strips} skirts up to {deepest_m:.3} m deep"
+    ));
+    hems
+}
+
+/// The first view should come at once, whatever the size of the city.
+const LARGEST_ROOT_BYTES: u64 = 500_000;
+/// A tile above this takes too long to come, bytes.
+const LARGEST_TILE_BYTES: u64 = 1_500_000;
+
+/// Says what the tree does not keep.
+fn warn_of(root: &TileEntry, config: &Config, out: &Path, reporter: &Reporter) {
+    if root.bytes > LARGEST_ROOT_BYTES {
+        let what = format!(
+            "the root has {} kB, 500 kB were wanted; lower levels.root_faces or texture.root_atlas_px",
+            root.bytes / 1000
+        );
+        reporter.warn("heavy-root", out, what);
+    }
+    let mut open = vec![root];
+    let (mut heavy, mut worst) = (0, 0);
+    while let Some(tile) = open.pop() {
+        open.extend(&tile.children);
+        if tile.bytes > LARGEST_TILE_BYTES {
+            heavy += 1;
+            worst = worst.max(tile.bytes);
+        }
+        if !config.levels.keep_tops || tile.children.is_empty() {
+            continue;
+        }
+        for class in tile.classes.iter().filter(|c| [ClassId::ROOF, ClassId::FACADE].contains(&c.class)) {
+            let spec = &config.classes[class.class];
+            if class.sunk_m > spec.budget_m {
+                let what = format!(
+                    "{} sinks {:.3} m below a {}, {} m is its budget; do not fly by this tile",
+                    tile.uri, class.sunk_m, spec.name, spec.budget_m
+                );
+                reporter.warn("sunken-tops", out, what);
+            }
+        }
+    }
+    let what = format!(
+        "up to {:.1} MB, 1.5 MB were wanted; lower levels.leaf_texels or levels.leaf_faces",
+        worst as f64 / 1e6
+    );
+    reporter.warn_many("heavy-tiles", out, heavy, what);
+}
+
 /// What is known of a tile once it is on disk.
 struct Written {
     uri: String,
@@ -220,11 +305,15 @@ struct Written {
     geometry_m: f64,
     texel_m: f64,
     triangles: usize,
+    skirt_triangles: usize,
+    wall_m: f64,
+    skirt_m: f64,
     classes: Vec<ClassDeviation>,
 }
 
 fn write_tiles(
     tree: &TileTree,
+    hems: &[Hem],
     maker: &Maker,
     config: &Config,
     output: &Output,
@@ -242,7 +331,7 @@ fn write_tiles(
         let mut done = Vec::new();
         while let Some(&t) = order.get(next.fetch_add(1, std::sync::atomic::Ordering::Relaxed)) {
             reporter.check()?;
-            done.push((t, write_tile(&tree.tiles[t], maker, &config.classes, &options, output)?));
+            done.push((t, write_tile((&tree.tiles[t], &hems[t]), maker, &config.classes, &options, output)?));
             stage.step(1);
         }
         Ok(done)
@@ -257,19 +346,25 @@ fn write_tiles(
 }
 
 fn write_tile(
-    tile: &Tile,
+    (tile, hem): (&Tile, &Hem),
     maker: &Maker,
     scheme: &ClassScheme,
     options: &GlbOptions,
     output: &Output,
 ) -> Result<Written> {
-    let made = maker.make(tile)?;
+    let made = maker.make(tile, hem)?;
     // Rounding to the compressed grid is an error like any other.
     let rounding_m = if options.compress { write::quantization_error_m(&made.content) } else { 0.0 };
     let uri = format!("tiles/{}/{}.glb", tile.level, maker.partition.key(tile.cell));
     let glb = write::glb(&made.content, scheme, options);
     output.write(&uri, &glb)?;
     let outward = DVec3::splat(rounding_m);
+    let rounded = |c: ClassDeviation| ClassDeviation {
+        bound_m: c.bound_m + rounding_m,
+        inside_m: c.inside_m + rounding_m,
+        sunk_m: c.sunk_m + rounding_m,
+        ..c
+    };
     Ok(Written {
         uri,
         bytes: glb.len() as u64,
@@ -277,7 +372,10 @@ fn write_tile(
         geometry_m: made.geometry_m + rounding_m,
         texel_m: made.texel_m,
         triangles: made.triangles,
-        classes: made.classes,
+        skirt_triangles: made.skirt_triangles,
+        wall_m: hem.wall_m,
+        skirt_m: hem.skirt_m,
+        classes: made.classes.into_iter().map(rounded).collect(),
     })
 }
 
@@ -289,15 +387,19 @@ fn entry(tree: &TileTree, at: usize, written: &[Written], scheme: &ClassScheme, 
     let of_children = children.iter().map(|c| c.geometric_error_m).fold(0.0, f64::max);
     // A leaf is the source, texels and all: only what rounding did to it counts.
     let own = if tile.mesh.is_some() { made.geometry_m.max(texel_factor * made.texel_m) } else { made.geometry_m };
+    // The scale at which the certified bounds are within their budgets, whatever the collapse was allowed.
+    let own_scale = made.classes.iter().map(|d| d.bound_m / scheme[d.class].budget_m).fold(0.0, f64::max);
+    let scale = children.iter().map(|c| c.scale).fold(own_scale, f64::max);
     let class_error = |d: &ClassDeviation| ClassError {
         class: d.class,
-        budget_m: scheme[d.class].budget_m * tile.scale,
+        budget_m: scheme[d.class].budget_m * scale,
         bound_m: d.bound_m,
         mean_m: d.figures.mean_m,
         rms_m: d.figures.rms_m,
         p95_m: d.figures.p95_m,
         p99_m: d.figures.p99_m,
         inside_m: d.inside_m,
+        sunk_m: d.sunk_m,
     };
     TileEntry {
         uri: made.uri.clone(),
@@ -305,7 +407,11 @@ fn entry(tree: &TileTree, at: usize, written: &[Written], scheme: &ClassScheme, 
         geometric_error_m: own.max(of_children),
         geometry_m: made.geometry_m,
         texel_m: made.texel_m,
+        scale,
+        wall_m: made.wall_m,
+        skirt_m: made.skirt_m,
         triangles: made.triangles as u64,
+        skirt_triangles: made.skirt_triangles as u64,
         bytes: made.bytes,
         classes: made.classes.iter().map(class_error).collect(),
         level: tile.level,

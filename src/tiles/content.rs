@@ -7,11 +7,12 @@
 use std::collections::HashMap;
 use std::ops::Range;
 
-use glam::{DVec3, Vec2};
+use glam::{DVec3, Vec2, Vec3};
 
 use super::error::{Deviation, Figures, Surface as Measured, directed};
 use super::levels::Tile;
 use super::partition::Partition;
+use super::skirt::Hem;
 use crate::Result;
 use crate::classes::Classes;
 use crate::geo::bounds::Aabb;
@@ -30,8 +31,10 @@ pub struct MadeTile {
     pub geometry_m: f64,
     /// Size of a texel, metres; 0 without texture.
     pub texel_m: f64,
-    /// Triangles.
+    /// Triangles of the surface.
     pub triangles: usize,
+    /// Triangles of skirts.
+    pub skirt_triangles: usize,
     /// Per class that occurs in the tile or its source.
     pub classes: Vec<ClassDeviation>,
 }
@@ -43,8 +46,10 @@ pub struct ClassDeviation {
     pub class: ClassId,
     /// Certified two-sided bound, metres.
     pub bound_m: f64,
-    /// Measured depth to which the tile sinks inside the source, metres.
+    /// How far the tile sinks inside the source at most, along the source's normals, metres (certified).
     pub inside_m: f64,
+    /// How much lower than the source the tile is at most, metres (certified).
+    pub sunk_m: f64,
     /// Area-weighted figures, metres.
     pub figures: Figures,
 }
@@ -80,20 +85,20 @@ struct Patch {
 }
 
 impl Maker<'_> {
-    /// Makes one tile.
+    /// Makes one tile with its skirts.
     ///
     /// # Errors
     /// Only a broken promise of the texture stage.
-    pub fn make(&self, tile: &Tile) -> Result<MadeTile> {
+    pub fn make(&self, tile: &Tile, hem: &Hem) -> Result<MadeTile> {
         let source = self.patch(&tile.source);
         match &tile.mesh {
-            None => self.make_leaf(&source),
-            Some(_) => self.make_inner(tile, &source),
+            None => self.make_leaf(&source, hem),
+            Some(_) => self.make_inner(tile, &source, hem),
         }
     }
 
     /// The source itself, its texels copied.
-    fn make_leaf(&self, source: &Patch) -> Result<MadeTile> {
+    fn make_leaf(&self, source: &Patch, hem: &Hem) -> Result<MadeTile> {
         let paint =
             self.is_painted(source).then(|| repack(&source.surface(self), self.images, self.texture)).transpose()?;
         let quality = self.texture.jpeg_quality;
@@ -102,13 +107,19 @@ impl Maker<'_> {
             seen
         });
         let classes = (self.classes.scheme.ids().filter(|c| exact[c.index()]))
-            .map(|class| ClassDeviation { class, bound_m: 0.0, inside_m: 0.0, figures: Figures::default() })
+            .map(|class| ClassDeviation {
+                class,
+                bound_m: 0.0,
+                inside_m: 0.0,
+                sunk_m: 0.0,
+                figures: Figures::default(),
+            })
             .collect();
-        Ok(self.assemble(source, paint, quality, 0.0, classes))
+        Ok(self.assemble(source, paint, quality, 0.0, classes, hem))
     }
 
     /// The simplified surface, measured against its source and painted from it.
-    fn make_inner(&self, tile: &Tile, source: &Patch) -> Result<MadeTile> {
+    fn make_inner(&self, tile: &Tile, source: &Patch, hem: &Hem) -> Result<MadeTile> {
         let mesh = tile.mesh.as_ref().unwrap_or_else(|| unreachable!("inner tiles have a surface"));
         let tree = Bvh::new(&source.positions, &source.faces);
         let (classes, geometry_m) = self.measure(mesh, source, &tree);
@@ -130,7 +141,7 @@ impl Maker<'_> {
             patch.colors = nearest_colors(&mesh.positions, source, &tree);
             None
         };
-        Ok(self.assemble(&patch, paint, self.texture.coarse_jpeg_quality, geometry_m, classes))
+        Ok(self.assemble(&patch, paint, self.texture.coarse_jpeg_quality, geometry_m, classes, hem))
     }
 
     /// The first view is one tile: its texture is kept small.
@@ -148,7 +159,13 @@ impl Maker<'_> {
         let both = forward.into_iter().zip(backward).map(|(f, b)| Deviation::two_sided(f, b));
         let classes: Vec<ClassDeviation> = (self.classes.scheme.ids().zip(both))
             .filter(|(_, d)| !d.is_empty())
-            .map(|(class, d)| ClassDeviation { class, bound_m: d.upper_m, inside_m: d.inside_m, figures: d.figures() })
+            .map(|(class, d)| ClassDeviation {
+                class,
+                bound_m: d.upper_m,
+                inside_m: d.inside_m,
+                sunk_m: d.sunk_m,
+                figures: d.figures(),
+            })
             .collect();
         let worst = classes.iter().map(|c| c.bound_m).fold(0.0, f64::max);
         (classes, worst)
@@ -206,6 +223,7 @@ impl Maker<'_> {
         quality: u8,
         geometry_m: f64,
         classes: Vec<ClassDeviation>,
+        hem: &Hem,
     ) -> MadeTile {
         let bounds = Aabb::of(patch.positions.iter().copied());
         // Origins on a coarse grid print short and are exact in f32.
@@ -238,21 +256,66 @@ impl Maker<'_> {
             };
             content.faces.push([0, 1, 2].map(corner));
         }
+        let triangles = content.faces.len();
+        hang(&mut content, hem);
         content.atlas = paint.map(|p| encode_jpeg(&p.atlas, quality));
         // What a viewer sees: f32 vertices about the origin.
         let seen = |p: DVec3| origin + (p - origin).as_vec3().as_dvec3();
         let rounding_m = patch.positions.iter().map(|p| (seen(*p) - *p).length()).fold(0.0, f64::max);
         let added_m = self.moved_m + rounding_m;
-        let classes = classes.into_iter().map(|c| ClassDeviation { bound_m: c.bound_m + added_m, ..c }).collect();
+        let moved = |c: ClassDeviation| ClassDeviation {
+            bound_m: c.bound_m + added_m,
+            inside_m: c.inside_m + added_m,
+            sunk_m: c.sunk_m + added_m,
+            ..c
+        };
+        let classes = classes.into_iter().map(moved).collect();
         MadeTile {
-            bounds: Aabb::of(patch.positions.iter().map(|p| seen(*p))),
+            bounds: Aabb::of(content.positions.iter().map(|p| origin + p.as_dvec3())),
             geometry_m: geometry_m + added_m,
             texel_m,
-            triangles: content.faces.len(),
+            triangles,
+            skirt_triangles: content.faces.len() - triangles,
             classes,
             content,
         }
     }
+}
+
+/// Adds skirts: vertices and faces of their own at the end, which take class, texture coordinates, colours and normals
+/// from the edges they hang from.
+fn hang(content: &mut TileContent, hem: &Hem) {
+    let first = content.positions.len();
+    let mut made: HashMap<(u32, [u32; 3]), u32> = HashMap::new();
+    for strip in &hem.strips {
+        let face = content.faces[strip.face as usize];
+        let corners = [0, 1].map(|k| face[(usize::from(strip.corner) + k) % 3]);
+        let edge = corners.map(|v| content.positions[v as usize]);
+        let below = strip.below.map(|p| (p - content.origin).as_vec3());
+        let mut vertex = |of: u32, at: Vec3| {
+            *made.entry((of, at.to_array().map(f32::to_bits))).or_insert_with(|| {
+                let v = of as usize;
+                content.positions.push(at);
+                content.class_of_vertex.push(content.class_of_vertex[v]);
+                if let Some(&uv) = content.uvs.get(v) {
+                    content.uvs.push(uv);
+                }
+                if let Some(&color) = content.colors.get(v) {
+                    content.colors.push(color);
+                }
+                if let Some(&normal) = content.normals.get(v) {
+                    content.normals.push(normal);
+                }
+                content.positions.len() as u32 - 1
+            })
+        };
+        let tops = [0, 1].map(|k| vertex(corners[k], edge[k]));
+        let feet = [0, 1].map(|k| vertex(corners[k], below[k]));
+        // The edge runs the other way round, so that both faces look out of the solid and the cell.
+        let triangles = [[tops[1], tops[0], feet[0]], [tops[1], feet[0], feet[1]]];
+        content.faces.extend(triangles.into_iter().filter(|[a, b, c]| a != b && b != c && c != a));
+    }
+    content.skirt_vertices = content.positions.len() - first;
 }
 
 /// Tile origins are multiples of 1/8 m.

@@ -16,6 +16,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::partition::Partition;
+use super::skirt::Skirts;
 use crate::classes::Classes;
 use crate::collapse::{CollapseConfig, CollapseLog, Collapser, Fences};
 use crate::geo::Rect;
@@ -39,11 +40,25 @@ pub struct LevelsConfig {
     /// Scale of a step over that of the step before. Default: 1.6: larger steps overshoot the faces a
     /// tile may have, smaller ones try every edge more often and end up no nearer to the source.
     pub step_ratio: f64,
+    /// Strips along the walls of cells that hide gaps between tiles of different levels: `"auto"`, `"off"`, or their
+    /// depth in metres. Default: `"auto"`, as deep as the gaps.
+    pub skirts: Skirts,
+    /// Raise simplified tiles where they are lower than a roof or a façade of the source by more than the budget of
+    /// that class at scale 1. Default: false.
+    pub keep_tops: bool,
 }
 
 impl Default for LevelsConfig {
     fn default() -> Self {
-        Self { leaf_faces: 40_000, leaf_texels: 1 << 22, tile_faces: 30_000, root_faces: 8_000, step_ratio: 1.6 }
+        Self {
+            leaf_faces: 40_000,
+            leaf_texels: 1 << 22,
+            tile_faces: 30_000,
+            root_faces: 8_000,
+            step_ratio: 1.6,
+            skirts: Skirts::Auto,
+            keep_tops: false,
+        }
     }
 }
 

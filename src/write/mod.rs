@@ -10,7 +10,7 @@ pub mod output;
 pub mod ply;
 pub mod tileset;
 
-pub use content::{TileContent, quantization_error_m};
+pub use content::{TileContent, quantization_error_m, quantization_error_of};
 pub use glb::{GlbOptions, glb};
 pub use output::Output;
 pub use ply::Ply;

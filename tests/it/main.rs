@@ -7,6 +7,8 @@
 //! | `bad_input` | every kind of broken input ends in one sentence and the designed exit code |
 //! | `determinism` | same input, same bytes, for any number of threads |
 //! | `tileset` | what a published tileset promises, measured with readers and oracles of the tests' own |
+//! | `walls` | gaps between tiles of different levels are no wider than stated, and skirts close them |
+//! | `safety` | errors, budgets and sinking per class hold when they are measured from outside |
 //! | `formats` | hundreds of odd files of other projects: no panic, no hang, no memory |
 //! | `label` | labels, their truth, schemes of other classes, tuning, figures |
 //! | `tilesets` | tilesets of others, valid and invalid: read, or refused by a reason |
@@ -28,5 +30,7 @@ mod label;
 mod layers;
 mod real;
 mod record;
+mod safety;
 mod tileset;
 mod tilesets;
+mod walls;

@@ -18,6 +18,7 @@ pub mod config;
 pub mod demo;
 pub mod draw;
 pub mod error;
+pub mod experiment;
 pub mod geo;
 pub mod ids;
 pub mod input;

@@ -6,6 +6,7 @@
 mod build;
 mod compare;
 mod demo;
+mod experiment;
 mod inspect;
 mod label;
 mod replay;
@@ -62,6 +63,8 @@ enum Verb {
     Inspect(inspect::Args),
     /// Measure how far simplified meshes are from their original, in all and per class.
     Compare(compare::Args),
+    /// Repeat the paper's experiment on a mesh: methods at equal sizes and at equal accuracy, as numbers and figures.
+    Experiment(experiment::Args),
 }
 
 /// Whether a verb found something to complain of.
@@ -111,6 +114,7 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Verb::Serve(args) => serve::run(&args, &reporter),
         Verb::Inspect(args) => inspect::run(&args, json, &reporter),
         Verb::Compare(args) => compare::run(&args, json, &reporter),
+        Verb::Experiment(args) => experiment::run(&args, json, &reporter),
     }
 }
 

@@ -81,7 +81,7 @@ impl Method {
     }
 
     /// The engine's name for it.
-    fn meant(self) -> collapse::Method {
+    pub(super) fn meant(self) -> collapse::Method {
         match self {
             Self::Semantic => collapse::Method::Semantic,
             Self::Memoryless => collapse::Method::Memoryless,
@@ -93,7 +93,7 @@ impl Method {
     }
 
     /// The word on the command line.
-    fn name(self) -> String {
+    pub(super) fn name(self) -> String {
         clap::ValueEnum::to_possible_value(&self).map(|v| v.get_name().to_owned()).unwrap_or_default()
     }
 }
@@ -121,6 +121,16 @@ impl std::str::FromStr for Faces {
                 Ok(number) if number > 0 => Ok(Self::Number(number)),
                 _ => Err(wanted()),
             },
+        }
+    }
+}
+
+impl std::fmt::Display for Faces {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Number(number) => write!(f, "{number}"),
+            // Seven digits: 0.07 · 100 is not 7.
+            Self::Share(share) => write!(f, "{}%", (share * 1e7).round() / 1e5),
         }
     }
 }
@@ -163,20 +173,9 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         return Err(Error::Config(format!("--method {}: it {what}", args.method.name())));
     }
 
-    let stage = reporter.stage("input", 0);
-    let read = InputConfig { allow_outside: args.allow_outside, root: None };
-    let (mut source, found) = input::read(&args.inputs, &read, reporter)?;
-    if let Some(path) = &args.labels {
-        give_labels(&mut source, path, reporter)?;
-    }
-    let triangles: usize = source.parts.iter().map(|p| p.faces.len()).sum();
-    stage.finish(format!("{} files, {triangles} triangles", found.files.len()));
-    reporter.check()?;
-
-    let origin = to_local(&mut source)?;
-    let (mesh, gate) = mesh::gate(source, &GateConfig::default(), reporter)?;
-    let classes = classify(&mesh, args, reporter)?;
-    reporter.check()?;
+    let wanted = |mesh: &Mesh| are_classes_wanted(mesh, args);
+    let front = front(&args.inputs, args.labels.as_deref(), args.allow_outside, wanted, reporter)?;
+    let Front { mesh, classes, gate, origin } = front;
 
     let stage = reporter.stage("simplify", 0);
     let config = SimplifyConfig {
@@ -228,6 +227,43 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         print(&text(plain.faces.len(), &about, &bounds))?
     }
     Ok(Outcome::Fine)
+}
+
+/// A mesh behind the gate with its classes, ready to be simplified.
+pub(super) struct Front {
+    /// About `origin`.
+    pub mesh: Mesh,
+    /// Of its faces.
+    pub classes: Classes,
+    /// What the gate did.
+    pub gate: mesh::GateReport,
+    /// Where its local metres begin, in the input's coordinates.
+    pub origin: DVec3,
+}
+
+/// Reads, cleans and classifies; all faces are terrain where classes are not `wanted`.
+pub(super) fn front(
+    inputs: &[PathBuf],
+    labels: Option<&Path>,
+    allow_outside: bool,
+    wanted: impl Fn(&Mesh) -> bool,
+    reporter: &Reporter,
+) -> Result<Front> {
+    let stage = reporter.stage("input", 0);
+    let read = InputConfig { allow_outside, root: None };
+    let (mut source, found) = input::read(inputs, &read, reporter)?;
+    if let Some(path) = labels {
+        give_labels(&mut source, path, reporter)?;
+    }
+    let triangles: usize = source.parts.iter().map(|p| p.faces.len()).sum();
+    stage.finish(format!("{} files, {triangles} triangles", found.files.len()));
+    reporter.check()?;
+
+    let origin = to_local(&mut source)?;
+    let (mesh, gate) = mesh::gate(source, &GateConfig::default(), reporter)?;
+    let classes = classify(&mesh, labels, wanted(&mesh), reporter)?;
+    reporter.check()?;
+    Ok(Front { mesh, classes, gate, origin })
 }
 
 /// Where to stop. A distance holds for all classes: the scale at which none may be further off.
@@ -287,9 +323,9 @@ fn to_local(source: &mut Source) -> Result<DVec3> {
 }
 
 /// Classes as given, or by shape.
-fn classify(mesh: &Mesh, args: &Args, reporter: &Reporter) -> Result<Classes> {
+fn classify(mesh: &Mesh, labels: Option<&Path>, wanted: bool, reporter: &Reporter) -> Result<Classes> {
     let scheme = ClassScheme::default();
-    if !are_classes_wanted(mesh, args) {
+    if !wanted {
         return Ok(in_classes(scheme, vec![ClassId::TERRAIN; mesh.faces.len()]));
     }
     let stage = reporter.stage("classes", 0);
@@ -298,7 +334,7 @@ fn classify(mesh: &Mesh, args: &Args, reporter: &Reporter) -> Result<Classes> {
         reporter.check()?;
         classes::label(mesh, &planes, &scheme, &ClassesConfig::default())
     } else {
-        in_classes(scheme, classes_of_labels(mesh, args.labels.as_deref())?)
+        in_classes(scheme, classes_of_labels(mesh, labels)?)
     };
     stage.finish(String::from(if mesh.face_labels.is_empty() { "by shape" } else { "as labelled" }));
     Ok(classes)

@@ -6,6 +6,7 @@
 //! | `compare` | figures of known shapes, labels, refusals |
 //! | `bad_input` | every kind of broken input ends in one sentence and the designed exit code |
 //! | `determinism` | same input, same bytes, for any number of threads |
+//! | `experiment` | files and numbers of the paper's experiment
 //! | `tileset` | what a published tileset promises, measured with readers and oracles of the tests' own |
 //! | `walls` | gaps between tiles of different levels are no wider than stated, and skirts close them |
 //! | `safety` | errors, budgets and sinking per class hold when they are measured from outside |
@@ -24,6 +25,7 @@ mod cli;
 mod common;
 mod compare;
 mod determinism;
+mod experiment;
 mod formats;
 mod front_end;
 mod label;

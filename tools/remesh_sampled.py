@@ -229,6 +229,7 @@ def write_ply(path, vertices, faces, labels):
     with open(path, "wb") as out:
         out.write((
             "ply\nformat binary_little_endian 1.0\n"
+            "comment label 0 terrain\ncomment label 1 facade\ncomment label 2 roof\ncomment label 3 clutter\n"
             f"element vertex {len(vertices)}\nproperty double x\nproperty double y\nproperty double z\n"
             f"element face {len(faces)}\nproperty list uchar int vertex_indices\nproperty int label\nend_header\n"
         ).encode())

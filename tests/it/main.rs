@@ -15,6 +15,7 @@
 //! | `tilesets` | tilesets of others, valid and invalid: read, or refused by a reason |
 //! | `layers` | which module may know which |
 //! | `real` | a real scan, from end to end |
+//! | `real_classes` | labels of others on real meshes, and meshes without a building |
 //! | `record` | simplifying, recording and replaying, by the program |
 //!
 //! `ROOFTILE_DATA` names the folder of real scans and odd files. Without it those tests are skipped, and say so; where
@@ -31,6 +32,7 @@ mod front_end;
 mod label;
 mod layers;
 mod real;
+mod real_classes;
 mod record;
 mod safety;
 mod tileset;

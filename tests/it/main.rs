@@ -12,6 +12,7 @@
 //! | `tilesets` | tilesets of others, valid and invalid: read, or refused by a reason |
 //! | `layers` | which module may know which |
 //! | `real` | a real scan, from end to end |
+//! | `simplify` | a cut of a textured mesh has its look: files whole, coordinates in range, pictures alike |
 //! | `record` | simplifying, recording and replaying, by the program |
 //!
 //! `ROOFTILE_DATA` names the folder of real scans and odd files. Without it those tests are skipped, and say so; where
@@ -28,5 +29,6 @@ mod label;
 mod layers;
 mod real;
 mod record;
+mod simplify;
 mod tileset;
 mod tilesets;

@@ -18,7 +18,8 @@ pub struct Args {
     /// A record, as `simplify --record` writes it.
     #[arg(value_name = "RECORD")]
     record: PathBuf,
-    /// The file to write, .ply, .obj or .glb; one that is there is replaced when the new one is whole.
+    /// The file to write, .ply, .obj or .glb; one that is there is replaced when the new one is whole. It has no texture:
+    /// a record holds geometry and classes.
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// The finest mesh of at most so many triangles: a number, or a share of the source's as in 10%.

@@ -11,11 +11,13 @@ use crate::collapse::record::{self, About, MAX_CLASSES};
 use crate::collapse::{self, Sequence, Simplified, SimplifyConfig, Target};
 use crate::geo::Aabb;
 use crate::ids::{ClassId, ClassScheme};
-use crate::input::{self, InputConfig, Source};
+use crate::input::{self, ImageRef, InputConfig, Source};
 use crate::mesh::{self, GRID_PER_M, GateConfig, Mesh};
 use crate::planes::{self, PlanesConfig};
 use crate::report::Reporter;
+use crate::texture::{Images, Surface, TextureConfig, encode_jpeg, paint_cut};
 use crate::write::mesh::{Format, Plain, admit, write_all};
+use crate::write::painted::{self, Paint};
 use crate::{Error, Result};
 
 #[derive(clap::Args)]
@@ -24,7 +26,8 @@ pub struct Args {
     /// Mesh files (.obj, .ply, .gltf, .glb) or folders of them.
     #[arg(value_name = "INPUT", required = true)]
     inputs: Vec<PathBuf>,
-    /// The file to write, .ply, .obj or .glb; one that is there is replaced when the new one is whole.
+    /// The file to write, .ply, .obj or .glb; one that is there is replaced when the new one is whole. A textured input
+    /// gives a texture baked anew: inside a .glb, beside an .obj as .mtl and .jpg, none for a .ply.
     #[arg(short, long, value_name = "FILE")]
     out: PathBuf,
     /// At most so many triangles: a number, or a share of the input's as in 10%.
@@ -52,6 +55,12 @@ pub struct Args {
     /// Leave vertices where collapses put them, as a record has them; semantic fits them to the source once more.
     #[arg(long)]
     no_refit: bool,
+    /// Largest side of the texture, texels. Default: 4096; smaller where the input or the cut's error is coarser.
+    #[arg(long, value_name = "PX", value_parser = clap::value_parser!(u32).range(64..=16384))]
+    texture_size: Option<u32>,
+    /// Write the surface without a texture, in the colours of its classes.
+    #[arg(long, conflicts_with = "texture_size")]
+    no_texture: bool,
     /// Follow paths in an input that lead out of its folder.
     #[arg(long)]
     allow_outside: bool,
@@ -175,7 +184,12 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
 
     let wanted = |mesh: &Mesh| are_classes_wanted(mesh, args);
     let front = front(&args.inputs, args.labels.as_deref(), args.allow_outside, wanted, reporter)?;
-    let Front { mesh, classes, gate, origin } = front;
+    let Front { mesh, classes, gate, origin, images: refs } = front;
+    let is_painted = format != Format::Ply && !args.no_texture && Surface::from(&mesh).is_painted();
+    if is_painted {
+        let taken: Vec<PathBuf> = files_of(&refs).into_iter().chain(args.record.clone()).collect();
+        painted::admit_beside(&args.out, format, &taken)?;
+    }
 
     let stage = reporter.stage("simplify", 0);
     let config = SimplifyConfig {
@@ -189,23 +203,31 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     stage.finish(format!("{} → {} triangles", mesh.faces.len(), simple.faces.len()));
     reporter.check()?;
 
-    let stage = reporter.stage("write", 0);
-    let about =
-        About { origin, scheme: classes.scheme.clone(), method: args.method.name(), tracked: args.method.is_tracked() };
     let plain = Plain {
         positions: simple.positions.iter().map(|p| *p + origin).collect(),
         faces: simple.faces.clone(),
         classes: if are_classes_wanted(&mesh, args) { simple.labels.clone() } else { Vec::new() },
     };
-    let bytes = plain.ordered().bytes(format, &classes.scheme)?;
+    let plain = plain.ordered();
+    let texture = if is_painted { Some(paint(&plain, origin, &mesh, refs, args, reporter)?) } else { None };
+    reporter.check()?;
+
+    let stage = reporter.stage("write", 0);
+    let about =
+        About { origin, scheme: classes.scheme.clone(), method: args.method.name(), tracked: args.method.is_tracked() };
+    let made = match &texture {
+        Some(texture) => painted::files(&plain, &texture.paint, &args.out, format, &classes.scheme)?,
+        None => vec![(args.out.clone(), plain.bytes(format, &classes.scheme)?)],
+    };
     let recorded = simple.sequence.as_ref().map(|sequence| record::encode(sequence, &about)).transpose()?;
-    let mut files: Vec<(&Path, &[u8])> = vec![(&args.out, &bytes)];
+    let mut files: Vec<(&Path, &[u8])> = made.iter().map(|(path, bytes)| (path.as_path(), bytes.as_slice())).collect();
+    let bytes: usize = files.iter().map(|f| f.1.len()).sum();
     files.extend(args.record.as_deref().zip(recorded.as_deref()));
     write_all(&files)?;
     let record_bytes = recorded.as_ref().map(Vec::len);
     let noted =
         record_bytes.map(|n| format!(", record {n} bytes, {:.2} a source triangle", n as f64 / gate.faces as f64));
-    stage.finish(format!("{} bytes{}", bytes.len(), noted.unwrap_or_default()));
+    stage.finish(format!("{bytes} bytes{}", noted.unwrap_or_default()));
 
     let bounds = bounds(&simple, &about);
     let report = json!({
@@ -215,7 +237,8 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         "faces": plain.faces.len(),
         "collapses": simple.sequence.as_ref().map(|s| s.events.len()),
         "bounds_m": bounds_by_name(&about, &bounds),
-        "bytes": bytes.len(),
+        "bytes": bytes,
+        "texture": texture.as_ref().map(|t| json!({ "size_px": t.size_px, "texel_m": t.texel_m })),
         "record_bytes": record_bytes,
         "gate": gate,
         "warnings": reporter.warnings(),
@@ -239,6 +262,8 @@ pub(super) struct Front {
     pub gate: mesh::GateReport,
     /// Where its local metres begin, in the input's coordinates.
     pub origin: DVec3,
+    /// What its materials refer to.
+    pub images: Vec<ImageRef>,
 }
 
 /// Reads, cleans and classifies; all faces are terrain where classes are not `wanted`.
@@ -260,10 +285,58 @@ pub(super) fn front(
     reporter.check()?;
 
     let origin = to_local(&mut source)?;
+    let images = std::mem::take(&mut source.images);
     let (mesh, gate) = mesh::gate(source, &GateConfig::default(), reporter)?;
     let classes = classify(&mesh, labels, wanted(&mesh), reporter)?;
     reporter.check()?;
-    Ok(Front { mesh, classes, gate, origin })
+    Ok(Front { mesh, classes, gate, origin, images })
+}
+
+/// The texture of a cut, and its figures.
+struct Texture {
+    paint: Paint,
+    /// Width and height, texels.
+    size_px: [u32; 2],
+    /// Metres.
+    texel_m: f64,
+}
+
+/// Bakes a texture for `plain`, which is in source coordinates, from the images of `mesh`, which is local.
+fn paint(
+    plain: &Plain,
+    origin: DVec3,
+    mesh: &Mesh,
+    refs: Vec<ImageRef>,
+    args: &Args,
+    reporter: &Reporter,
+) -> Result<Texture> {
+    let stage = reporter.stage("texture", 0);
+    let source = Surface::from(mesh);
+    let mut images = Images::new(refs, reporter);
+    images.cover(&source);
+    let config = TextureConfig { max_atlas_px: args.texture_size.unwrap_or(TEXTURE_PX), ..TextureConfig::default() };
+    let positions: Vec<DVec3> = plain.positions.iter().map(|p| *p - origin).collect();
+    let cut = Surface { positions: &positions, faces: &plain.faces, ..Surface::default() };
+    let baked = paint_cut(&cut, &source, &images, &config).map_err(|error| match error {
+        Error::Config(what) => Error::Config(format!("{what} (here: raise --texture-size, or use --no-texture)")),
+        other => other,
+    })?;
+    let size_px = [baked.atlas.width(), baked.atlas.height()];
+    stage.finish(format!("{}×{} texels of {:.4} m", size_px[0], size_px[1], baked.texel_m));
+    let jpeg = encode_jpeg(&baked.atlas, config.jpeg_quality);
+    Ok(Texture { paint: Paint { corner_uvs: baked.corner_uvs, jpeg }, size_px, texel_m: baked.texel_m })
+}
+
+/// Largest side of a texture unless told otherwise, texels: what every GPU takes.
+const TEXTURE_PX: u32 = 4096;
+
+/// Images of the input that are files.
+fn files_of(refs: &[ImageRef]) -> Vec<PathBuf> {
+    let file = |r: &ImageRef| match r {
+        ImageRef::File(path) => Some(path.clone()),
+        _ => None,
+    };
+    refs.iter().filter_map(file).collect()
 }
 
 /// Where to stop. A distance holds for all classes: the scale at which none may be further off.

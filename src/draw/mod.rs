@@ -8,6 +8,7 @@
 //! | `view` | cameras: from above, oblique, a flight around a box |
 //! | `raster` | which face is seen at which pixel |
 //! | `shade` | paint, light and 2×2 smoothing of what is seen |
+//! | `scene` | textured meshes, and how alike two pictures are |
 //! | `holes` | pixels where one mesh has surface and another has not |
 //! | `ramp` | values and classes become colours |
 //! | `text` | a bitmap font |
@@ -22,6 +23,7 @@ pub mod plot;
 pub mod png;
 pub mod ramp;
 pub mod raster;
+pub mod scene;
 pub mod shade;
 pub mod sheet;
 pub mod text;

@@ -99,8 +99,11 @@ impl Maker<'_> {
 
     /// The source itself, its texels copied.
     fn make_leaf(&self, source: &Patch, hem: &Hem) -> Result<MadeTile> {
-        let paint =
-            self.is_painted(source).then(|| repack(&source.surface(self), self.images, self.texture)).transpose()?;
+        let paint = source
+            .surface(self)
+            .is_painted()
+            .then(|| repack(&source.surface(self), self.images, self.texture))
+            .transpose()?;
         let quality = self.texture.jpeg_quality;
         let exact = source.labels.iter().fold(vec![false; self.classes.scheme.len()], |mut seen, l| {
             seen[l.index()] = true;
@@ -131,10 +134,10 @@ impl Maker<'_> {
             materials: Vec::new(),
             colors: Vec::new(),
         };
-        let painted = self.is_painted(source);
+        let painted = source.surface(self).is_painted();
         let config = TextureConfig { max_atlas_px: self.atlas_px(tile), ..self.texture.clone() };
         let paint = if painted {
-            let texel_m = (geometry_m / self.texel_factor).max(self.source_texel_m(source));
+            let texel_m = (geometry_m / self.texel_factor).max(source.surface(self).texel_m(self.images));
             let from = BakeSource { surface: source.surface(self), bvh: &tree };
             Some(bake(&patch.surface(self), &from, self.images, texel_m, &config)?)
         } else {
@@ -169,27 +172,6 @@ impl Maker<'_> {
             .collect();
         let worst = classes.iter().map(|c| c.bound_m).fold(0.0, f64::max);
         (classes, worst)
-    }
-
-    /// True where any face has an image; a surface in plain colours needs no atlas.
-    fn is_painted(&self, source: &Patch) -> bool {
-        !source.uvs.is_empty()
-            && source
-                .materials
-                .iter()
-                .any(|&m| self.partition.mesh.materials.get(m as usize).is_some_and(|m| m.image.is_some()))
-    }
-
-    /// Metres per texel of the source's images, area-weighted.
-    fn source_texel_m(&self, source: &Patch) -> f64 {
-        let (mut area_m2, mut texels) = (0.0, 0.0);
-        for (f, uvs) in source.uvs.iter().enumerate() {
-            let material = self.partition.mesh.materials.get(source.materials[f] as usize);
-            let Some(image) = material.and_then(|m| m.image) else { continue };
-            area_m2 += source.area_m2(f);
-            texels += texels_of(uvs, self.images.dimensions(image));
-        }
-        if texels > 0.0 { (area_m2 / texels).sqrt() } else { 0.0 }
     }
 
     /// Gathers faces with the vertices they use.
@@ -338,10 +320,6 @@ impl Patch {
         (b - a).cross(c - a)
     }
 
-    fn area_m2(&self, f: usize) -> f64 {
-        self.cross(f).length() * 0.5
-    }
-
     /// Area-weighted unit normals.
     fn vertex_normals(&self) -> Vec<DVec3> {
         let mut sums = vec![DVec3::ZERO; self.positions.len()];
@@ -350,13 +328,6 @@ impl Patch {
         }
         sums.into_iter().map(|n| n.try_normalize().unwrap_or(DVec3::Z)).collect()
     }
-}
-
-/// Texels of an image inside a triangle of texture coordinates.
-pub fn texels_of(uvs: &[Vec2; 3], [width, height]: [u32; 2]) -> f64 {
-    let [a, b, c] = uvs.map(|uv| uv.as_dvec2());
-    let texels = 0.5 * (b - a).perp_dot(c - a).abs() * f64::from(width) * f64::from(height);
-    if texels.is_finite() { texels } else { 0.0 }
 }
 
 /// Colours of the nearest source points; empty where the source has none.

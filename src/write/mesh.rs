@@ -1,4 +1,5 @@
-//! Writes a plain mesh with a class per face as PLY, OBJ or GLB, by the ending of its name.
+//! Writes a plain mesh with a class per face as PLY, OBJ or GLB, by the ending of its name; see [`super::painted`] for
+//! one with a texture.
 //!
 //! # Method
 //! 1. Put vertices and faces into an order that depends on the surface alone, see [`Plain::ordered`].
@@ -108,12 +109,7 @@ impl Plain {
     /// # Errors
     /// [`Error::Bug`] for indices past the end or a class that `scheme` does not have.
     pub fn bytes(&self, format: Format, scheme: &ClassScheme) -> Result<Vec<u8>> {
-        let count = self.positions.len();
-        let labelled = self.classes.is_empty() || self.classes.len() == self.faces.len();
-        let known = self.classes.iter().all(|c| c.index() < scheme.len());
-        if !labelled || !known || self.faces.iter().flatten().any(|v| *v as usize >= count) {
-            return Err(Error::Bug(format!("a mesh of {count} vertices that does not hold together")));
-        }
+        self.check(scheme)?;
         match format {
             Format::Ply => self.ply(scheme).bytes(),
             Format::Obj => Ok(obj(&self.positions, &self.faces, &self.classes, scheme)),
@@ -123,6 +119,24 @@ impl Plain {
                 Ok(glb(&content, scheme, &GlbOptions::default()))
             }
         }
+    }
+
+    /// Indices and classes are in range, or it is a bug.
+    pub(super) fn check(&self, scheme: &ClassScheme) -> Result<()> {
+        let count = self.positions.len();
+        let labelled = self.classes.is_empty() || self.classes.len() == self.faces.len();
+        let known = self.classes.iter().all(|c| c.index() < scheme.len());
+        if !labelled || !known || self.faces.iter().flatten().any(|v| *v as usize >= count) {
+            return Err(Error::Bug(format!("a mesh of {count} vertices that does not hold together")));
+        }
+        Ok(())
+    }
+
+    /// The middle of the surface's box, whole metres.
+    pub(super) fn origin(&self) -> DVec3 {
+        let low = self.positions.iter().copied().fold(DVec3::INFINITY, DVec3::min);
+        let high = self.positions.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
+        ((low + high) * 0.5).round()
     }
 
     fn ply(&self, scheme: &ClassScheme) -> Ply<'_> {
@@ -138,9 +152,7 @@ impl Plain {
 
     /// A vertex for each class that uses it, in the order of faces.
     fn content(&self, scheme: &ClassScheme) -> TileContent {
-        let low = self.positions.iter().copied().fold(DVec3::INFINITY, DVec3::min);
-        let high = self.positions.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
-        let origin = ((low + high) * 0.5).round();
+        let origin = self.origin();
         let mut content = TileContent { origin, ..TileContent::default() };
         let class = |f: usize| self.classes.get(f).copied().unwrap_or(ClassId(0));
         let mut corners: Vec<(u32, ClassId)> =

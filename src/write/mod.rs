@@ -7,6 +7,7 @@ pub mod glb;
 pub mod mesh;
 pub mod obj;
 pub mod output;
+pub mod painted;
 pub mod ply;
 pub mod tileset;
 

@@ -16,6 +16,7 @@
 //! | `layers` | which module may know which |
 //! | `real` | a real scan, from end to end |
 //! | `real_classes` | labels of others on real meshes, and meshes without a building |
+//! | `simplify` | a cut of a textured mesh has its look: files whole, coordinates in range, pictures alike |
 //! | `record` | simplifying, recording and replaying, by the program |
 //!
 //! `ROOFTILE_DATA` names the folder of real scans and odd files. Without it those tests are skipped, and say so; where
@@ -35,6 +36,7 @@ mod real;
 mod real_classes;
 mod record;
 mod safety;
+mod simplify;
 mod tileset;
 mod tilesets;
 mod walls;

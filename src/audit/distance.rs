@@ -302,12 +302,7 @@ impl Job<'_> {
     }
 
     /// What the tile is compared with, and what that itself may be wrong by. `None` for the finest tiles.
-    fn reference(
-        &self,
-        loader: &mut Loader,
-        tile: usize,
-        one: &mut TileDistance,
-    ) -> Option<(Shown, f64)> {
+    fn reference(&self, loader: &mut Loader, tile: usize, one: &mut TileDistance) -> Option<(Shown, f64)> {
         let tileset = loader.tileset;
         let finest = self.cover.finest(tileset, tile);
         let faces = |tiles: &[usize]| {
@@ -352,10 +347,8 @@ impl Job<'_> {
         let hausdorff = comparison.all.hausdorff;
         // Where tiles are missing, what stands where they were is not wrong.
         let whole = if one.is_incomplete { hausdorff.reference_to_simplified } else { hausdorff.two_sided };
-        one.hausdorff = whole.map(|h| Interval {
-            lower_m: (h.lower_m - added_m).max(0.0),
-            upper_m: h.upper_m + added_m,
-        });
+        one.hausdorff =
+            whole.map(|h| Interval { lower_m: (h.lower_m - added_m).max(0.0), upper_m: h.upper_m + added_m });
         let detail = Detail::of(shown, reference, &loader.names);
         one.worst = detail.worst;
         one.class_swaps = detail.swaps;
@@ -364,7 +357,8 @@ impl Job<'_> {
     }
 }
 
-/// What `geometryError` and `<class>Bound` in the tile's metadata promise.
+/// What `geometryError` and `<class>Bound` in the tile's metadata promise. A class is that of the reference: which class a
+/// point of the tile belongs to is a matter of taste, and nobody is accused over that.
 fn certificates(loader: &Loader, one: &TileDistance, comparison: &Comparison, added_m: f64) -> Vec<Certificate> {
     let metadata = loader.tileset.tiles[one.tile].metadata.as_ref();
     let properties = metadata.and_then(|m| m.get("properties")).and_then(|p| p.as_object());
@@ -376,7 +370,7 @@ fn certificates(loader: &Loader, one: &TileDistance, comparison: &Comparison, ad
         } else {
             let class = loader.names.of_property(property, "Bound");
             let of_class = class.and_then(|class| comparison.by_class.iter().find(|c| c.class == class));
-            let interval = of_class.and_then(|c| c.figures.hausdorff.two_sided);
+            let interval = of_class.and_then(|c| c.figures.hausdorff.reference_to_simplified);
             interval.map(|i| Interval { lower_m: (i.lower_m - added_m).max(0.0), upper_m: i.upper_m + added_m })
         };
         let Some(measured) = measured.filter(|_| !one.is_incomplete) else { continue };
@@ -410,7 +404,8 @@ fn judge(tileset: &Tileset, one: &mut TileDistance, figures: Option<&TileFigures
     }
     one.factor = Some(factor);
     let texel = figures.and_then(TileFigures::metres_per_texel).map(|m| TEXEL_SLACK * SSE_PX * m);
-    let geometry = tileset.tiles[one.tile].metadata.as_ref().and_then(|m| m.get("properties")?.get("geometryError")?.as_f64());
+    let geometry =
+        tileset.tiles[one.tile].metadata.as_ref().and_then(|m| m.get("properties")?.get("geometryError")?.as_f64());
     let geometry_is_honest = geometry.is_some_and(|g| g < stated_m && g / upper_m <= config.max_slack);
     let is_texture = texel.is_some_and(|texel| stated_m <= texel || geometry_is_honest);
     one.verdict = if is_texture { Verdict::Texture } else { Verdict::Overstated };
@@ -425,8 +420,7 @@ struct Detail {
 impl Detail {
     fn of(shown: &Shown, reference: &Shown, names: &ClassNames) -> Self {
         let (tile, other) = (&shown.surface, &reference.surface);
-        let (of_tile, of_other) =
-            (Bvh::new(&tile.positions, &tile.faces), Bvh::new(&other.positions, &other.faces));
+        let (of_tile, of_other) = (Bvh::new(&tile.positions, &tile.faces), Bvh::new(&other.positions, &other.faces));
         let on_tile = furthest(tile, &of_other).map(|w| Worst { is_on_reference: false, ..w });
         let on_other = furthest(other, &of_tile);
         // Where tiles are missing, the tile itself is far from what is left.

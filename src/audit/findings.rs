@@ -91,6 +91,22 @@ pub fn of(audit: &Audit) -> Vec<Fault> {
     seams.cracks.iter().for_each(|crack| faults.push(crack_of(audit, "crack", crack, within)));
     let across = "a tile and its finer neighbour are further apart than the coarser one's error";
     seams.cracks_across.iter().for_each(|crack| faults.push(crack_of(audit, "crack-across-levels", crack, across)));
+    of_openings(audit, &mut faults);
+    of_obstacles(audit, &mut faults);
+    for blurred in &audit.blurred {
+        let (share, usual) = (100.0 * blurred.detail_share, 100.0 * blurred.level_share);
+        let what = format!(
+            "its image has {share:.0} % of its detail at its own resolution, others of its level {usual:.0} %: blurred"
+        );
+        faults.push(fault(
+            audit,
+            "texture-blurred",
+            Group::Textures,
+            blurred.tile,
+            blurred.level_share / blurred.detail_share.max(1e-6),
+            what,
+        ));
+    }
     faults.sort_by(|a, b| {
         (a.group, a.code).cmp(&(b.group, b.code)).then(b.amount.total_cmp(&a.amount)).then(a.tile.cmp(&b.tile))
     });
@@ -120,6 +136,37 @@ fn of_structure(audit: &Audit, faults: &mut Vec<Fault>) {
         let what = format!("{} ({} times)", warning.first, warning.count);
         let path = warning.first_path.display().to_string();
         faults.push(Fault { path, ..fault(audit, warning.code, Group::Unread, 0, warning.count as f64, what) });
+    }
+}
+
+/// Openings smaller than this are told of in the figures only, m².
+const LEAST_OPENING_M2: f64 = 0.5;
+
+fn of_openings(audit: &Audit, faults: &mut Vec<Fault>) {
+    for (tile, openings) in &audit.openings {
+        let both = [
+            ("hole", openings.in_tile, "it is open where the finer surface is closed"),
+            ("hole-in-finer", openings.in_finer, "the finer surface is open where it is closed: is a tile missing?"),
+        ];
+        for (code, opening, what) in both {
+            let Some(o) = opening.filter(|o| o.area_m2 >= LEAST_OPENING_M2) else { continue };
+            let place = super::cover::place(&audit.tileset, DVec3::from_array(o.local_m));
+            let what = format!("{what}: {:.1} m² at most, {} openings in one view", o.area_m2, o.count);
+            faults.push(Fault { place, ..fault(audit, code, Group::Cracks, *tile, o.area_m2, what) });
+        }
+    }
+}
+
+fn of_obstacles(audit: &Audit, faults: &mut Vec<Fault>) {
+    let safe_m = audit.config.obstacle_safe_m.unwrap_or_default();
+    for tile in audit.envelope_tiles.iter().filter(|t| t.lost_count > 0) {
+        let Some(worst) = tile.lost.first() else { continue };
+        let place = super::cover::place(&audit.tileset, DVec3::from_array(worst.local_m));
+        let what = format!(
+            "{} obstacles sink by more than {safe_m} m; the worst ({}) by {:.2} m over {:.2} m² (tiling error alone)",
+            tile.lost_count, worst.class, worst.sink_m, worst.area_m2
+        );
+        faults.push(Fault { place, ..fault(audit, "obstacle-lost", Group::Obstacles, tile.tile, worst.sink_m, what) });
     }
 }
 

@@ -19,7 +19,9 @@ use serde::Serialize;
 
 use self::cover::{Cover, Loader};
 use self::distance::{DistanceConfig, TileDistance, Verdict};
+use self::envelope::{EnvelopeRow, EnvelopeTile};
 use self::findings::Fault;
+use self::gaps::Openings;
 use self::read::Tileset;
 use self::seams::{Border, SeamConfig, Seams};
 use self::source::{Original, OriginalConfig, Placed};
@@ -32,13 +34,18 @@ use crate::report::{Reporter, Warning};
 
 pub mod cover;
 pub mod distance;
+pub mod envelope;
 pub mod findings;
+pub mod gaps;
+pub mod page;
 pub mod read;
 pub mod report;
+pub mod rewrite;
 pub mod seams;
 pub mod source;
 pub mod structure;
 pub mod summary;
+pub mod textures;
 pub mod view;
 
 /// What to look at.
@@ -52,6 +59,8 @@ pub struct AuditConfig {
     pub seams: SeamConfig,
     /// The original mesh, if it is to be the reference.
     pub original: Option<OriginalConfig>,
+    /// Obstacles may sink by so much, metres; not looked at if none.
+    pub obstacle_safe_m: Option<f64>,
     /// A route to fly: a GeoJSON file.
     pub route: Option<std::path::PathBuf>,
 }
@@ -61,12 +70,21 @@ pub struct AuditConfig {
 pub struct Station {
     /// Over the finest surface at the middle, metres.
     pub height_m: f64,
+    /// The eye in the local frame.
+    pub eye_local_m: [f64; 3],
     /// With the errors as stated.
     pub stated: Load,
     /// With the certified upper ends as errors.
     pub measured: Load,
     /// With 95th percentiles as errors.
     pub p95: Load,
+}
+
+impl Station {
+    /// The eye in the local frame.
+    pub fn eye(&self) -> DVec3 {
+        DVec3::from_array(self.eye_local_m)
+    }
 }
 
 /// A tileset, judged.
@@ -81,6 +99,16 @@ pub struct Audit {
     pub rows: Vec<Row>,
     /// Borders.
     pub seams: Seams,
+    /// Obstacles by level and class.
+    pub envelope: Vec<EnvelopeRow>,
+    /// Of each tile what was lost.
+    pub envelope_tiles: Vec<EnvelopeTile>,
+    /// Tiles with openings.
+    pub openings: Vec<(usize, Openings)>,
+    /// Detail of images by level.
+    pub textures: Vec<textures::LevelDetail>,
+    /// Tiles whose images have less detail than others of their level.
+    pub blurred: Vec<textures::Blurred>,
     /// From over the middle.
     pub stations: Vec<Station>,
     /// Along the route, by stated and by measured errors.
@@ -115,14 +143,30 @@ pub fn audit(named: &Path, config: &AuditConfig, reporter: &Reporter) -> Result<
     let finest_box = finest.iter().fold(Aabb::EMPTY, |aabb, &tile| aabb.union(loader.load(tile).aabb));
     let original = config.original.as_ref().map(|o| Original::read(o, &tileset, finest_box, reporter)).transpose()?;
     let mut borders = vec![Border::default(); tileset.tiles.len()];
+    let (mut openings, mut envelope_tiles) = (Vec::new(), Vec::new());
     let distances = distance::measure(
         &mut loader,
         &structure.tiles,
         original.as_ref(),
         &config.distance,
         reporter,
-        &mut |_, one, shown, _| borders[one.tile] = Border::of(&shown.surface, shown.aabb),
+        &mut |loader, one, shown, reference| {
+            borders[one.tile] = Border::of(&shown.surface, shown.aabb);
+            let Some(interval) = one.hausdorff else { return };
+            // Where tiles are missing the tile stands out and nothing is known of its outline.
+            let error_m =
+                if one.is_incomplete { 0.0 } else { interval.upper_m.min(view::p95(one).unwrap_or(0.0) * 3.0) };
+            let found = gaps::of(shown, reference, error_m);
+            if found != Openings::default() {
+                openings.push((one.tile, found));
+            }
+            if let Some(safe_m) = config.obstacle_safe_m {
+                let names = &loader.names;
+                envelope_tiles.push(EnvelopeTile::of(one.tile, one.level, shown, reference, names, safe_m));
+            }
+        },
     )?;
+    let textures = textures::measure(&tileset, reporter)?;
     let stage = reporter.stage("seams", 0);
     let seams = seams::measure(&tileset, &borders, &config.seams);
     stage.finish(format!("{} cracks within levels", seams.cracks.len()));
@@ -131,11 +175,11 @@ pub fn audit(named: &Path, config: &AuditConfig, reporter: &Reporter) -> Result<
     let measured = view::measured(&tileset, &distances, |d| d.hausdorff.map(|h| h.upper_m));
     let p95 = view::measured(&tileset, &distances, view::p95);
     let stated = view::stated(&tileset);
-    let load = |error: &[f64], height_m: f64| {
-        view::load(&tileset, &structure.tiles, error, middle + DVec3::Z * height_m)
-    };
+    let load =
+        |error: &[f64], height_m: f64| view::load(&tileset, &structure.tiles, error, middle + DVec3::Z * height_m);
     let stations = view::HEIGHTS_M.map(|height_m| Station {
         height_m,
+        eye_local_m: (middle + DVec3::Z * height_m).to_array(),
         stated: load(&stated, height_m),
         measured: load(&measured, height_m),
         p95: load(&p95, height_m),
@@ -152,6 +196,11 @@ pub fn audit(named: &Path, config: &AuditConfig, reporter: &Reporter) -> Result<
         distances,
         rows,
         seams,
+        envelope: envelope::rows(&envelope_tiles, &loader.names),
+        envelope_tiles,
+        openings,
+        blurred: textures.blurred,
+        textures: textures.levels,
         stations: stations.to_vec(),
         route,
         placed: original.map(|o| o.placed),

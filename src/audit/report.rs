@@ -14,6 +14,9 @@
 //! | `table` | distances by level and class (`class` null: all together) |
 //! | `tiles` | each tile: stated error, certified interval, verdict, factor, figures, worst point |
 //! | `seams` | gaps within levels and across; cracks |
+//! | `openings` | holes seen from all around, of tiles that have any |
+//! | `envelope` | with `--obstacle-safe`: sinking below the true top by level and class; tiling error alone |
+//! | `textures` | detail of images by level |
 //! | `stations`, `route` | what viewers load by stated and by measured errors |
 //! | `faults` | all that is wrong: `code`, `group`, `tile`, `path`, `place`, `amount`, `what` |
 //! | `warnings` | what was odd in the files, counted by code |
@@ -107,7 +110,10 @@ impl Audit {
             "levels": self.structure.levels,
             "table": table,
             "tiles": tiles,
+            "openings": self.openings.iter().map(|(tile, openings)| json!({"tile": tile, "openings": openings})).collect::<Vec<_>>(),
             "seams": self.seams,
+            "envelope": self.envelope,
+            "textures": self.textures,
             "stations": self.stations,
             "route": self.route.as_ref().map(|[stated, measured]| json!({"stated": stated, "measured": measured})),
             "faults": self.faults,
@@ -133,6 +139,9 @@ impl Audit {
         let (s, d, seams) = (&self.config.structure, &self.config.distance, &self.config.seams);
         json!({
             "max_slack": d.max_slack,
+            "obstacle_safe_m": self.config.obstacle_safe_m,
+            "plan_cell_m": super::envelope::CELL_M,
+            "texture_detail_share": super::textures::LEAST_SHARE,
             "understated_rounding_m": d.rounding_m,
             "certified_tolerance_m": d.tolerance_m.map_or(json!("0.02 or 2e-4 of the diagonal"), |t| json!(t)),
             "seam_match_m": seams.match_m,
@@ -189,12 +198,12 @@ impl Audit {
                 texel.map_or(String::new(), |t| format!("{t:.3}")),
             )?;
         }
-        writeln!(f, "\nMetres, both ways; p95, p99 and max of the worst tile. in, out: sinks into, stands out of the solid.")?;
+        writeln!(
+            f,
+            "\nMetres, both ways; p95, p99 and max of the worst tile. in, out: sinks into, stands out of the solid."
+        )?;
         for row in &self.seams.rows {
-            let name = match row.level == row.finer_level {
-                true => format!("level {}", row.level),
-                false => format!("levels {} and {}", row.level, row.finer_level),
-            };
+            let name = row.name();
             let (p50, p95, max) = (row.gap_p50_m, row.gap_p95_m, row.gap_max_m);
             let (edges, open) = (row.edges, row.unmatched_edges);
             writeln!(
@@ -202,12 +211,21 @@ impl Audit {
                 "seams {name}: {open} of {edges} border edges do not match; gaps p50 {p50:.3}, p95 {p95:.3}, max {max:.3} m"
             )?;
         }
+        if let Some(safe_m) = self.config.obstacle_safe_m {
+            self.write_envelope(f, safe_m)?;
+        }
         writeln!(f, "\nA viewer at {} px of error loads:", structure::SSE_PX)?;
         for s in &self.stations {
             writeln!(
                 f,
                 "  at +{:<4} m {:>9} triangles in {:>4} tiles; by measured errors {:>9} in {:>4}; by p95 {:>9} in {:>4}",
-                s.height_m, s.stated.triangles, s.stated.tiles, s.measured.triangles, s.measured.tiles, s.p95.triangles, s.p95.tiles
+                s.height_m,
+                s.stated.triangles,
+                s.stated.tiles,
+                s.measured.triangles,
+                s.measured.tiles,
+                s.p95.triangles,
+                s.p95.tiles
             )?;
         }
         if let Some([stated, measured]) = &self.route {
@@ -227,7 +245,13 @@ impl Audit {
         for (code, count) in self.codes() {
             let Some(first) = self.faults.iter().find(|x| x.code == code) else { continue };
             let place = if first.place.is_empty() { String::new() } else { format!(" at {}", first.place) };
-            writeln!(f, "\n{count} × {code} ({}); the worst: {}{place}\n    {}", first.group.name(), first.path, first.what)?;
+            writeln!(
+                f,
+                "\n{count} × {code} ({}); the worst: {}{place}\n    {}",
+                first.group.name(),
+                first.path,
+                first.what
+            )?;
         }
         for w in &self.warnings {
             writeln!(f, "warning    {} × {}: {}: {}", w.count, w.code, w.first_path.display(), w.first)?;
@@ -235,13 +259,38 @@ impl Audit {
         Ok(())
     }
 
+    fn write_envelope(&self, f: &mut String, safe_m: f64) -> std::fmt::Result {
+        writeln!(
+            f,
+            "\nObstacles, tiling error alone (the survey's comes on top), more than {safe_m} m below the true top:"
+        )?;
+        writeln!(
+            f,
+            "{:>5} {:12} {:>9} {:>9} {:>9} {:>9} {:>9} {:>6}  Annex 15 figure (LE90, a yardstick only)",
+            "level", "class", "m²", "LE90", "P99.9", "max", "lateral", "lost"
+        )?;
+        for row in &self.envelope {
+            writeln!(
+                f,
+                "{:>5} {:12} {:>9.0} {:>9.2} {:>9.2} {:>9.2} {:>9.2} {:>6}  {}",
+                row.level,
+                row.class,
+                row.area_m2,
+                row.sink_le90_m,
+                row.sink_p999_m,
+                row.sink_max_m,
+                row.erosion_p95_m,
+                row.obstacles_lost,
+                row.annex_15_vertical_figure_met.join(", ")
+            )?;
+        }
+        Ok(())
+    }
+
     /// The verdict in one sentence.
     pub fn headline(&self) -> String {
-        let judged: Vec<_> = self
-            .distances
-            .iter()
-            .filter(|d| !matches!(d.verdict, Verdict::Finest | Verdict::Unmeasured))
-            .collect();
+        let judged: Vec<_> =
+            self.distances.iter().filter(|d| !matches!(d.verdict, Verdict::Finest | Verdict::Unmeasured)).collect();
         let count = |v: Verdict| judged.iter().filter(|d| d.verdict == v).count();
         let worst = |v: Verdict| judged.iter().filter(|d| d.verdict == v).filter_map(|d| d.factor).fold(0.0, f64::max);
         let (under, over) = (count(Verdict::Understated), count(Verdict::Overstated));
@@ -253,8 +302,13 @@ impl Audit {
         let errors = match (under, over) {
             _ if of == 0 => "no tile could be compared with anything finer".to_string(),
             (0, 0) => format!("the geometric errors are honest in all {of} tiles judged"),
-            (0, _) => format!("the geometric errors are safe but overstated in {over} of {of} tiles{}", times(Verdict::Overstated)),
-            (_, 0) => format!("the geometric errors are UNDERSTATED in {under} of {of} tiles{}", times(Verdict::Understated)),
+            (0, _) => format!(
+                "the geometric errors are safe but overstated in {over} of {of} tiles{}",
+                times(Verdict::Overstated)
+            ),
+            (_, 0) => {
+                format!("the geometric errors are UNDERSTATED in {under} of {of} tiles{}", times(Verdict::Understated))
+            }
             _ => format!(
                 "the geometric errors are UNDERSTATED in {under} of {of} tiles{}, and overstated in {over}{}",
                 times(Verdict::Understated),

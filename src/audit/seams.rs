@@ -17,6 +17,7 @@ use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::cover::Cover;
 use super::read::Tileset;
 use crate::geo::Aabb;
 use crate::geo::bvh::Bvh;
@@ -40,7 +41,7 @@ impl Default for SeamConfig {
 }
 
 /// The seam is this much thicker than the overlap of the boxes, metres.
-const THICKER_M: f64 = 0.02;
+const THICKER_M: f64 = 0.01;
 
 /// The border of a tile.
 #[derive(Debug, Clone, Default)]
@@ -95,12 +96,27 @@ impl Border {
     }
 }
 
+/// Which tiles meet.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Between {
+    /// Two of one level that have finer ones.
+    #[default]
+    Level,
+    /// Two of different levels, or a finest tile and one that has finer ones.
+    Levels,
+    /// Two of the finest tiles: the surface itself.
+    Finest,
+}
+
 /// Gaps between the tiles of one level, or of a level and the next finer one.
 #[derive(Debug, Clone, Default, PartialEq, Serialize)]
 pub struct SeamRow {
-    /// Of the coarser tiles.
+    /// Which tiles meet.
+    pub between: Between,
+    /// Of the coarser tiles; of the finest tiles 0.
     pub level: u32,
-    /// Of the finer tiles; the same for seams within a level.
+    /// Of the finer tiles.
     pub finer_level: u32,
     /// Pairs of neighbours with a seam.
     pub pairs: u64,
@@ -114,6 +130,18 @@ pub struct SeamRow {
     pub gap_p95_m: f64,
     /// The widest gap.
     pub gap_max_m: f64,
+}
+
+impl SeamRow {
+    /// For people.
+    pub fn name(&self) -> String {
+        match self.between {
+            Between::Finest => "between the finest tiles".into(),
+            Between::Level => format!("within level {}", self.level),
+            Between::Levels if self.level == self.finer_level => format!("of level {} with finest tiles", self.level),
+            Between::Levels => format!("of levels {} and {}", self.level, self.finer_level),
+        }
+    }
 }
 
 /// The widest gap of a pair of tiles.
@@ -136,7 +164,7 @@ pub struct Crack {
 pub struct Seams {
     /// Within levels and across, the coarsest first.
     pub rows: Vec<SeamRow>,
-    /// Cracks within levels, the widest first.
+    /// Cracks within levels and within the finest surface, the widest first.
     pub cracks: Vec<Crack>,
     /// Across levels, wider than the coarser tile's stated error; the widest first.
     pub cracks_across: Vec<Crack>,
@@ -154,7 +182,13 @@ struct Found {
 /// Measures all seams; `borders` by tile, empty for tiles that were not read.
 pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Seams {
     let levels: Vec<u32> = (0..borders.len()).map(|tile| tileset.level(tile)).collect();
-    let pairs = neighbours(tileset, borders, &levels);
+    let cover = Cover::of(tileset);
+    let between = |a: usize, b: usize| match (cover.has_finer(a), cover.has_finer(b)) {
+        (false, false) => Some(Between::Finest),
+        (true, true) if levels[a] == levels[b] => Some(Between::Level),
+        _ => (levels[a].abs_diff(levels[b]) <= 1).then_some(Between::Levels),
+    };
+    let pairs = neighbours(tileset, borders, &between);
     let trees: Vec<Option<Bvh>> = borders.par_iter().map(tree).collect();
     let found: Vec<([usize; 2], [Found; 2])> = pairs
         .into_par_iter()
@@ -164,12 +198,14 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
         })
         .collect();
     let mut seams = Seams::default();
-    let mut rows = std::collections::BTreeMap::<(u32, u32), (SeamRow, Vec<f64>)>::new();
+    let mut rows = std::collections::BTreeMap::<(Between, u32, u32), (SeamRow, Vec<f64>)>::new();
     for ([a, b], both) in &found {
         if both.iter().all(|f| f.gaps.is_empty()) {
             continue;
         }
-        let key = (levels[*a].min(levels[*b]), levels[*a].max(levels[*b]));
+        let Some(kind) = between(*a, *b) else { continue };
+        let ends = [levels[*a].min(levels[*b]), levels[*a].max(levels[*b])];
+        let key = if kind == Between::Finest { (kind, 0, 0) } else { (kind, ends[0], ends[1]) };
         let (row, all) = rows.entry(key).or_default();
         row.pairs += 1;
         for one in both {
@@ -179,7 +215,7 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
         }
         // Of the coarser of the two: what its error allows.
         let error_m = [*a, *b].map(|t| tileset.tiles[t].geometric_error_m).into_iter().fold(0.0, f64::max);
-        let (into, limit) = match key.0 == key.1 {
+        let (into, limit) = match kind != Between::Levels {
             true => (&mut seams.cracks, config.crack_m),
             false => (&mut seams.cracks_across, config.crack_m.max(error_m)),
         };
@@ -191,12 +227,12 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
             into.push(Crack { tile, neighbour, gap_m, local_m: at.to_array(), unmatched_edges });
         }
     }
-    for ((level, finer_level), (mut row, mut gaps)) in rows {
+    for ((between, level, finer_level), (mut row, mut gaps)) in rows {
         gaps.sort_by(f64::total_cmp);
         let at = |q: f64| gaps.get(((gaps.len() as f64 * q) as usize).min(gaps.len().max(1) - 1)).copied();
         let quantiles = [0.5, 0.95, 1.0].map(|q| at(q).unwrap_or_default());
         [row.gap_p50_m, row.gap_p95_m, row.gap_max_m] = quantiles;
-        seams.rows.push(SeamRow { level, finer_level, ..row });
+        seams.rows.push(SeamRow { between, level, finer_level, ..row });
     }
     for cracks in [&mut seams.cracks, &mut seams.cracks_across] {
         cracks.sort_by(|a, b| b.gap_m.total_cmp(&a.gap_m).then((a.tile, a.neighbour).cmp(&(b.tile, b.neighbour))));
@@ -204,8 +240,12 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
     seams
 }
 
-/// Pairs of tiles whose boxes touch, of one level or of two that follow each other, none above the other.
-fn neighbours(tileset: &Tileset, borders: &[Border], levels: &[u32]) -> Vec<[usize; 2]> {
+/// Pairs of tiles whose boxes touch and that may be seen together, none above the other.
+fn neighbours(
+    tileset: &Tileset,
+    borders: &[Border],
+    between: &dyn Fn(usize, usize) -> Option<Between>,
+) -> Vec<[usize; 2]> {
     let mut order: Vec<usize> = (0..borders.len()).filter(|&t| !borders[t].is_empty()).collect();
     order.sort_by(|&a, &b| borders[a].aabb.min.x.total_cmp(&borders[b].aabb.min.x).then(a.cmp(&b)));
     let mut pairs = Vec::new();
@@ -216,7 +256,7 @@ fn neighbours(tileset: &Tileset, borders: &[Border], levels: &[u32]) -> Vec<[usi
             }
             let [low, high] = [a.min(b), a.max(b)];
             let touch = !seam(&borders[a].aabb, &borders[b].aabb, THICKER_M).is_empty();
-            if touch && levels[a].abs_diff(levels[b]) <= 1 && !is_above(tileset, low, high) {
+            if touch && between(a, b).is_some() && !is_above(tileset, low, high) {
                 pairs.push([low, high]);
             }
         }

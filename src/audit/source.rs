@@ -205,9 +205,8 @@ mod tests {
         let corners = [DVec3::ZERO, DVec3::new(4.0, 0.0, 1.0), DVec3::new(0.0, 4.0, 1.0)];
         let within = Aabb { min: DVec3::new(1.0, 1.0, f64::NEG_INFINITY), max: DVec3::new(9.0, 9.0, f64::INFINITY) };
         let polygon = clipped(corners, &within);
-        let area: f64 = (2..polygon.len())
-            .map(|k| (polygon[k - 1] - polygon[0]).cross(polygon[k] - polygon[0]).z / 2.0)
-            .sum();
+        let area: f64 =
+            (2..polygon.len()).map(|k| (polygon[k - 1] - polygon[0]).cross(polygon[k] - polygon[0]).z / 2.0).sum();
         assert!((area - 2.0).abs() < 1e-12, "{polygon:?}");
         assert!(clipped(corners, &Aabb { min: DVec3::splat(5.0), max: DVec3::splat(6.0) }).len() < 3);
         assert_eq!(clipped(corners, &Aabb { min: DVec3::splat(-1.0), max: DVec3::splat(6.0) }).len(), 3);

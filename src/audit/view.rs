@@ -92,11 +92,7 @@ pub fn p95(of: &TileDistance) -> Option<f64> {
 }
 
 /// For each tile what `of` says of it, never less than below it; the stated error where it says nothing.
-pub fn measured(
-    tileset: &Tileset,
-    distances: &[TileDistance],
-    of: impl Fn(&TileDistance) -> Option<f64>,
-) -> Vec<f64> {
+pub fn measured(tileset: &Tileset, distances: &[TileDistance], of: impl Fn(&TileDistance) -> Option<f64>) -> Vec<f64> {
     let mut error_m: Vec<Option<f64>> = vec![None; tileset.tiles.len()];
     for one in distances {
         let finest = (one.verdict == Verdict::Finest).then_some(0.0);

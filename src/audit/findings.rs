@@ -146,7 +146,11 @@ fn of_openings(audit: &Audit, faults: &mut Vec<Fault>) {
     for (tile, openings) in &audit.openings {
         let both = [
             ("hole", openings.in_tile, "it is open where the finer surface is closed"),
-            ("hole-in-finer", openings.in_finer, "the finer surface is open where it is closed: is a tile missing?"),
+            (
+                "hole-in-finer",
+                openings.in_finer,
+                "the finer surface is open where it is closed, as if a tile were missing",
+            ),
         ];
         for (code, opening, what) in both {
             let Some(o) = opening.filter(|o| o.area_m2 >= LEAST_OPENING_M2) else { continue };
@@ -188,7 +192,7 @@ fn of_distance(audit: &Audit, one: &TileDistance, faults: &mut Vec<Fault>) {
         _ => "there this tile has something that the finer surface lacks",
     };
     if one.verdict == Verdict::Understated {
-        let times = one.factor.map_or(String::new(), |f| format!(", {f:.1} times as much"));
+        let times = one.factor.map_or(String::new(), |f| format!(", {f:.2} times as much"));
         let what = format!("states {stated_m:.3} m and is off by {:.3} m{times}; {side}", interval.lower_m);
         add("understated", Group::Understated, interval.lower_m - stated_m, what);
     }

@@ -107,10 +107,26 @@ fn reasons(audit: &Audit, page: &mut String) {
     page.push_str("<h2>What is wrong</h2>");
     if audit.faults.is_empty() {
         page.push_str("<p class=\"fine\">Nothing was found, by the limits at the end of this page.</p>");
-        return;
+    } else {
+        fault_table(audit, page);
     }
+    let clean: Vec<&str> = Group::ALL
+        .iter()
+        .filter(|(group, _)| !audit.faults.iter().any(|f| f.group == *group))
+        .filter(|(group, _)| *group != Group::Obstacles || audit.config.obstacle_safe_m.is_some())
+        .map(|(_, name)| *name)
+        .collect();
+    let _ = write!(page, "<p class=\"small\">Looked at, and nothing found: {}.", clean.join(", "));
+    if audit.config.obstacle_safe_m.is_none() {
+        page.push_str(" Not looked at: obstacles.");
+    }
+    page.push_str("</p>");
+}
+
+/// A row for each code.
+fn fault_table(audit: &Audit, page: &mut String) {
     page.push_str("<table><tr><th class=t>group</th><th class=t>fault</th><th>tiles or places</th><th class=t>the worst</th></tr>");
-    for (code, count) in audit.codes() {
+    for (code, count) in audit.codes_by_group() {
         let Some(first) = audit.faults.iter().find(|f| f.code == code) else { continue };
         let class = if first.group.is_grave() { "danger" } else { "slowly" };
         let at = if first.place.is_empty() { String::new() } else { format!(" <code>{}</code>", escape(&first.place)) };
@@ -123,17 +139,6 @@ fn reasons(audit: &Audit, page: &mut String) {
         );
     }
     page.push_str("</table>");
-    let clean: Vec<&str> = Group::ALL
-        .iter()
-        .filter(|(group, _)| !audit.faults.iter().any(|f| f.group == *group))
-        .filter(|(group, _)| *group != Group::Obstacles || audit.config.obstacle_safe_m.is_some())
-        .map(|(_, name)| *name)
-        .collect();
-    let _ = write!(page, "<p class=\"small\">Looked at, and nothing found: {}.", clean.join(", "));
-    if audit.config.obstacle_safe_m.is_none() {
-        page.push_str(" Not looked at: obstacles.");
-    }
-    page.push_str("</p>");
 }
 
 fn table(audit: &Audit, page: &mut String) {
@@ -182,6 +187,13 @@ fn table(audit: &Audit, page: &mut String) {
         stands for. The certified maximum lies between the two numbers for certain; it and p95, p99 are of the worst tile. \
         Understated is an error below the lower number: a viewer then shows the tile where it is wrong by more than it says. \
         Eq. 17 and 18 are the paper's, at the tile's vertices only; Eq. 18 as printed is in m<sup>½</sup>.</p>");
+    let incomplete = audit.distances.iter().filter(|d| d.is_incomplete).count();
+    if incomplete > 0 {
+        let _ = write!(
+            page,
+            "<p class=\"danger\">{incomplete} tiles stand for some that cannot be read: of these only what is there is compared.</p>"
+        );
+    }
     if audit.distances.iter().any(|d| d.is_guessed_class) {
         page.push_str(
             "<p class=\"small\">The tileset names no classes: these are our classifier's guess from shape.</p>",
@@ -388,9 +400,12 @@ fn worst(audit: &Audit, page: &mut String) {
     }
     page.push_str("</table><p class=\"small\">All tiles are in the JSON (<code>--json</code>). Places: latitude, longitude, height \
         above the ellipsoid; without a place on the Earth x y z.</p>");
+    if audit.faults.is_empty() {
+        return;
+    }
     page.push_str("<h2>Faults in full</h2><ul class=small>");
-    for code in audit.codes().keys() {
-        for fault in audit.faults.iter().filter(|f| f.code == *code).take(FAULTS) {
+    for (code, _) in audit.codes_by_group() {
+        for fault in audit.faults.iter().filter(|f| f.code == code).take(FAULTS) {
             let at =
                 if fault.place.is_empty() { String::new() } else { format!(" <code>{}</code>", escape(&fault.place)) };
             let _ = write!(

@@ -54,6 +54,18 @@ impl Audit {
         codes
     }
 
+    /// The same, the gravest groups first.
+    pub fn codes_by_group(&self) -> Vec<(&'static str, usize)> {
+        let mut codes: Vec<(&'static str, usize)> = Vec::new();
+        for fault in &self.faults {
+            match codes.iter_mut().find(|(code, _)| *code == fault.code) {
+                Some((_, count)) => *count += 1,
+                None => codes.push((fault.code, 1)),
+            }
+        }
+        codes
+    }
+
     /// What an id of a class is called; all together without one.
     pub fn class_name(&self, class: Option<crate::ids::ClassId>) -> &str {
         class.map_or("all", |c| self.classes.get(c.index()).map_or("unclassified", String::as_str))
@@ -242,7 +254,7 @@ impl Audit {
         if self.faults.is_empty() {
             writeln!(f, "\nNothing wrong was found.")?;
         }
-        for (code, count) in self.codes() {
+        for (code, count) in self.codes_by_group() {
             let Some(first) = self.faults.iter().find(|x| x.code == code) else { continue };
             let place = if first.place.is_empty() { String::new() } else { format!(" at {}", first.place) };
             writeln!(
@@ -297,6 +309,7 @@ impl Audit {
         let of = judged.len();
         let times = |v: Verdict| match worst(v) {
             0.0 => String::new(),
+            factor if factor < 2.0 => format!(", up to {factor:.2} times"),
             factor => format!(", up to {factor:.1} times"),
         };
         let errors = match (under, over) {

@@ -1,10 +1,13 @@
 //! Figures by level and class: many tiles in one row.
+//!
+//! Means are weighted by the reference's area; percentiles and maxima are those of the worst tile. Sides and the paper's
+//! figures of tiles whose reference is incomplete are not told: there a tile stands out of what is missing.
 
 use serde::Serialize;
 
 use super::distance::{TileDistance, Verdict};
 use crate::ids::ClassId;
-use crate::measure::{Figures, Interval};
+use crate::measure::{Figures, Interval, Summary};
 
 /// The tiles of a level, in all or of one class.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -75,6 +78,18 @@ fn figures(of: &TileDistance, class: Option<ClassId>) -> Option<&Figures> {
     }
 }
 
+/// Both ways; where part of the reference is missing, what is there of it to the tile.
+fn distances(of: &(&TileDistance, &Figures)) -> Option<Summary> {
+    let (tile, figures) = of;
+    if tile.is_incomplete { figures.reference_to_simplified.clone() } else { figures.two_sided.clone() }
+}
+
+fn interval(of: &(&TileDistance, &Figures)) -> Option<Interval> {
+    let (tile, figures) = of;
+    let hausdorff = &figures.hausdorff;
+    if tile.is_incomplete { hausdorff.reference_to_simplified } else { hausdorff.two_sided }
+}
+
 fn row(level: u32, class: Option<ClassId>, tiles: &[&TileDistance]) -> Row {
     let with: Vec<(&TileDistance, &Figures)> =
         tiles.iter().filter_map(|d| figures(d, class).map(|f| (*d, f))).collect();
@@ -84,10 +99,13 @@ fn row(level: u32, class: Option<ClassId>, tiles: &[&TileDistance]) -> Row {
     let at = |i: usize| stated.get(i).copied().unwrap_or_default();
     let area = |(d, f): &(&TileDistance, &Figures)| d.reference_area_m2 * f.reference_area_share;
     let area_m2: f64 = with.iter().map(area).sum();
-    let mean = |of: fn(&Figures) -> f64| with.iter().map(|w| area(w) * of(w.1)).sum::<f64>() / area_m2.max(1e-12);
-    let most = |of: fn(&Figures) -> f64| with.iter().map(|w| of(w.1)).fold(0.0, f64::max);
+    let sums: Vec<(f64, Summary)> = with.iter().filter_map(|w| Some((area(w), distances(w)?))).collect();
+    let mean = |of: fn(&Summary) -> f64| sums.iter().map(|(m2, s)| m2 * of(s)).sum::<f64>() / area_m2.max(1e-12);
+    let worst = |of: fn(&Summary) -> f64| sums.iter().map(|(_, s)| of(s)).fold(0.0, f64::max);
+    let whole = || with.iter().filter(|w| !w.0.is_incomplete);
+    let most = |of: fn(&Figures) -> f64| whole().map(|w| of(w.1)).fold(0.0, f64::max);
     let paper = |of: fn(&crate::measure::PaperFigures) -> f64| {
-        let (sum, count) = with.iter().filter_map(|w| w.1.paper.as_ref()).fold((0.0, 0.0), |(sum, count), p| {
+        let (sum, count) = whole().filter_map(|w| w.1.paper.as_ref()).fold((0.0, 0.0), |(sum, count), p| {
             let n = p.vertices as f64;
             (sum + n * of(p), count + n)
         });
@@ -102,13 +120,13 @@ fn row(level: u32, class: Option<ClassId>, tiles: &[&TileDistance]) -> Row {
         texture: count(Verdict::Texture),
         stated_error_m: [at(0), at(stated.len() / 2), at(stated.len().max(1) - 1)],
         area_m2,
-        mean_m: mean(|f| f.two_sided.as_ref().map_or(0.0, |s| s.mean_m)),
-        rms_m: mean(|f| f.two_sided.as_ref().map_or(0.0, |s| s.rms_m * s.rms_m)).sqrt(),
-        p95_m: most(|f| f.two_sided.as_ref().map_or(0.0, |s| s.p95_m)),
-        p99_m: most(|f| f.two_sided.as_ref().map_or(0.0, |s| s.p99_m)),
+        mean_m: mean(|s| s.mean_m),
+        rms_m: mean(|s| s.rms_m * s.rms_m).sqrt(),
+        p95_m: worst(|s| s.p95_m),
+        p99_m: worst(|s| s.p99_m),
         hausdorff: match class {
             None => with.iter().filter_map(|w| w.0.hausdorff).reduce(Interval::max),
-            Some(_) => with.iter().filter_map(|w| w.1.hausdorff.two_sided).reduce(Interval::max),
+            Some(_) => with.iter().filter_map(interval).reduce(Interval::max),
         },
         inside_seen_m: most(|f| f.signed.map_or(0.0, |s| s.inside_seen_m)),
         outside_seen_m: most(|f| f.signed.map_or(0.0, |s| s.outside_seen_m)),

@@ -86,9 +86,11 @@ pub fn stated(tileset: &Tileset) -> Vec<f64> {
     tileset.tiles.iter().map(|tile| tile.geometric_error_m).collect()
 }
 
-/// The 95th percentile of a tile's distances, both ways, metres.
+/// The 95th percentile of a tile's distances, both ways, metres; of an incomplete reference from it only.
 pub fn p95(of: &TileDistance) -> Option<f64> {
-    of.comparison.as_ref()?.all.two_sided.as_ref().map(|s| s.p95_m)
+    let all = &of.comparison.as_ref()?.all;
+    let distances = if of.is_incomplete { &all.reference_to_simplified } else { &all.two_sided };
+    distances.as_ref().map(|s| s.p95_m)
 }
 
 /// For each tile what `of` says of it, never less than below it; the stated error where it says nothing.

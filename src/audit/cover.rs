@@ -151,7 +151,7 @@ impl<'a> Loader<'a> {
     pub fn union(&mut self, tiles: &[usize]) -> Shown {
         let mut all = Shown { aabb: Aabb::EMPTY, ..Shown::default() };
         for &tile in tiles {
-            all.add(&*self.load(tile), ClassNames::UNKNOWN);
+            all.add(&self.load(tile), ClassNames::UNKNOWN);
         }
         all
     }

@@ -502,7 +502,7 @@ fn levels(audit: &Audit, page: &mut String) {
         );
     }
     page.push_str("</table><p class=\"small\">Texels per pixel: at the distance where a tile is replaced; below 1 it is seen blurred \
-        before. Image detail: of an image at its own resolution, by that an octave lower; natural images have 0.5 to 1.</p>");
+        before. Image detail: of an image at its own resolution, by the most in the octaves below; of blurred ones it is small.</p>");
 }
 
 fn limits(audit: &Audit, page: &mut String) {

@@ -5,7 +5,8 @@
 //! # Method
 //! 1. an edge that one face only uses is border; vertices are joined where they are equal to the last bit
 //! 2. two tiles are neighbours if the boxes of their triangles touch; their seam is where these overlap
-//! 3. each border vertex in the seam (or between two that are) to the nearest border edge of the neighbour: the gap
+//! 3. each border vertex in the seam (or between two that are) to the nearest border edge of the neighbour: the gap;
+//!    a vertex that meets one neighbour is not held against another
 //!
 //! # Limits
 //! A vertex further than [`SeamConfig::reach_m`] from the neighbour's border has no partner and does not count: the
@@ -190,10 +191,11 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
     };
     let pairs = neighbours(tileset, borders, &between);
     let trees: Vec<Option<Bvh>> = borders.par_iter().map(tree).collect();
+    let met = met(borders, &trees, &pairs, config);
     let found: Vec<([usize; 2], [Found; 2])> = pairs
         .into_par_iter()
         .map(|[a, b]| {
-            let one = |a: usize, b: usize| gaps(&borders[a], &borders[b], trees[b].as_ref(), config);
+            let one = |a: usize, b: usize| gaps(&borders[a], &met[a], &borders[b], trees[b].as_ref(), config);
             ([a, b], [one(a, b), one(b, a)])
         })
         .collect();
@@ -276,6 +278,25 @@ fn is_above(tileset: &Tileset, upper: usize, tile: usize) -> bool {
     false
 }
 
+/// Per tile and border vertex whether any neighbour's border meets it: where three tiles meet, one partner is enough.
+fn met(borders: &[Border], trees: &[Option<Bvh>], pairs: &[[usize; 2]], config: &SeamConfig) -> Vec<Vec<bool>> {
+    let mut neighbours = vec![Vec::new(); borders.len()];
+    for &[a, b] in pairs {
+        neighbours[a].push(b);
+        neighbours[b].push(a);
+    }
+    let of_tile = |(own, others): (&Border, &Vec<usize>)| {
+        let is_met = |p: &DVec3| {
+            others.iter().any(|&o| {
+                borders[o].aabb.contains(*p, config.match_m)
+                    && trees[o].as_ref().is_some_and(|tree| tree.closest(*p, config.match_m).is_some())
+            })
+        };
+        own.points.iter().map(is_met).collect()
+    };
+    borders.par_iter().zip(&neighbours).map(of_tile).collect()
+}
+
 /// Where two boxes overlap, and a little more; empty if they do not.
 fn seam(a: &Aabb, b: &Aabb, by: f64) -> Aabb {
     Aabb { min: a.min.max(b.min) - by, max: a.max.min(b.max) + by }
@@ -286,7 +307,7 @@ fn tree(border: &Border) -> Option<Bvh> {
     (!faces.is_empty()).then(|| Bvh::new(&border.points, &faces))
 }
 
-fn gaps(of: &Border, other: &Border, tree: Option<&Bvh>, config: &SeamConfig) -> Found {
+fn gaps(of: &Border, met: &[bool], other: &Border, tree: Option<&Bvh>, config: &SeamConfig) -> Found {
     let mut found = Found::default();
     let Some(tree) = tree else { return found };
     let mut zone = seam(&of.aabb, &other.aabb, THICKER_M);
@@ -304,6 +325,8 @@ fn gaps(of: &Border, other: &Border, tree: Option<&Bvh>, config: &SeamConfig) ->
     }
     let gap: Vec<Option<f64>> = (0..of.points.len())
         .map(|v| counts[v].then(|| tree.closest(of.points[v], config.reach_m).map(|hit| hit.distance)).flatten())
+        .zip(met)
+        .map(|(gap, is_met)| gap.filter(|gap| *gap <= config.match_m || !is_met))
         .collect();
     for (v, gap) in gap.iter().enumerate() {
         let Some(gap) = *gap else { continue };
@@ -342,7 +365,8 @@ mod tests {
 
     fn between(a: &Border, b: &Border) -> [Found; 2] {
         let config = SeamConfig::default();
-        [gaps(a, b, tree(b).as_ref(), &config), gaps(b, a, tree(a).as_ref(), &config)]
+        let one = |a: &Border, b: &Border| gaps(a, &vec![false; a.points.len()], b, tree(b).as_ref(), &config);
+        [one(a, b), one(b, a)]
     }
 
     #[test]

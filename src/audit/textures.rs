@@ -1,9 +1,9 @@
 //! Whether images hold the detail that their resolution promises.
 //!
 //! # Method
-//! Detail at an image's own resolution is what is lost when it is halved and doubled again; the same one octave lower is
-//! what a natural image has about as much of. Their ratio is the detail share, whatever the contrast; of a blurred image
-//! it is small. It is held against the median of the tiles of the same level.
+//! Detail at an image's own resolution is what is lost when it is halved and doubled again; the most of the same in the
+//! octaves below is what a natural image has somewhat more of. Their ratio is the detail share, whatever the contrast; of a
+//! blurred image it is small. It is held against the median of the tiles of the same level.
 //!
 //! # Limits
 //! One image a tile, the largest. KTX2 images are not decoded.
@@ -97,14 +97,22 @@ fn of_tile(tileset: &Tileset, tile: usize) -> Option<f64> {
     detail_share(&image::load_from_memory(&largest.encoded).ok()?.to_rgb8())
 }
 
-/// Detail at the image's own resolution by that at half of it; `None` for images too small or too flat.
+/// Detail at the image's own resolution by the most in the octaves below; `None` for images too small or too flat.
 fn detail_share(picture: &RgbImage) -> Option<f64> {
     let full = Grey::of(picture);
     let half = full.halved()?;
-    let quarter = half.halved()?;
-    let (own, lower) = (full.lost(&half), half.lost(&quarter));
+    let own = full.lost(&half);
+    let (mut lower, mut at) = (0.0f64, half);
+    for _ in 0..OCTAVES {
+        let Some(next) = at.halved() else { break };
+        lower = lower.max(at.lost(&next));
+        at = next;
+    }
     (lower > LEAST_CONTRAST).then(|| own / lower)
 }
+
+/// Octaves below an image's own that are looked at: what is blurred has its detail in one of them.
+const OCTAVES: u32 = 4;
 
 struct Grey {
     width: usize,

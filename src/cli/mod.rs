@@ -3,6 +3,7 @@
 //! Data goes to standard output, people's text to standard error; `--json` prints one object. Exit codes are those of
 //! [`Error::exit_code`], and 1 for findings.
 
+mod audit;
 mod build;
 mod compare;
 mod demo;
@@ -61,6 +62,8 @@ enum Verb {
     Serve(serve::Args),
     /// Say in numbers what is in an input or a tileset, and what is wrong with a tileset.
     Inspect(inspect::Args),
+    /// Measure the errors of anybody's tileset, and say what is wrong with it.
+    Audit(Box<audit::Args>),
     /// Measure how far simplified meshes are from their original, in all and per class.
     Compare(compare::Args),
     /// Repeat the paper's experiment on a mesh: methods at equal sizes and at equal accuracy, as numbers and figures.
@@ -113,6 +116,7 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
         Verb::Replay(args) => replay::run(&args, json, &reporter),
         Verb::Serve(args) => serve::run(&args, &reporter),
         Verb::Inspect(args) => inspect::run(&args, json, &reporter),
+        Verb::Audit(args) => audit::run(&args, json, &reporter),
         Verb::Compare(args) => compare::run(&args, json, &reporter),
         Verb::Experiment(args) => experiment::run(&args, json, &reporter),
     }

@@ -3,6 +3,7 @@
 //! | module | asks |
 //! |---|---|
 //! | `cli` | flags, exit codes, what is left on disk, signals |
+//! | `audit` | certificates hold, planted faults are found and named, exit codes, the page, rewritten errors |
 //! | `compare` | figures of known shapes, labels, refusals |
 //! | `bad_input` | every kind of broken input ends in one sentence and the designed exit code |
 //! | `determinism` | same input, same bytes, for any number of threads |
@@ -22,6 +23,7 @@
 //! `ROOFTILE_DATA` names the folder of real scans and odd files. Without it those tests are skipped, and say so; where
 //! `CI` is set they fail instead.
 
+mod audit;
 mod bad_input;
 mod cli;
 mod common;

@@ -153,6 +153,11 @@ pub struct Tile {
 }
 
 impl Tile {
+    /// Which child it is of its parent, as written.
+    pub fn way(&self) -> usize {
+        self.way as usize
+    }
+
     /// True if it has something to load.
     pub fn has_mesh(&self) -> bool {
         self.contents.iter().any(|content| !content.is_tileset)

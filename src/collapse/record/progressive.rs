@@ -131,8 +131,14 @@ impl Progressive {
                 marked[kept] = true;
                 marked[gone] = true;
                 let first = if i == 0 { self.base_faces } else { self.faces_after[i - 1] };
-                for f in first..self.faces_after[i] {
-                    self.faces[f as usize].iter().for_each(|&v| marked[v as usize] = true);
+                for &corner in self.faces[first as usize..self.faces_after[i] as usize].iter().flatten() {
+                    // Faces name vertices of the finest mesh; this one and what it had merged into by then.
+                    let mut v = corner as usize;
+                    marked[v] = true;
+                    while v > base + i {
+                        v = self.kept[v - base] as usize;
+                        marked[v] = true;
+                    }
                 }
             }
         }

@@ -44,6 +44,9 @@ impl Default for SeamConfig {
 /// The seam is this much thicker than the overlap of the boxes, metres.
 const THICKER_M: f64 = 0.01;
 
+/// A vertex between two in the seam belongs to it if it is no further off, metres; beyond that it is an ear of its tile.
+const MOVED_M: f64 = 0.25;
+
 /// The border of a tile.
 #[derive(Debug, Clone, Default)]
 pub struct Border {
@@ -321,7 +324,8 @@ fn gaps(of: &Border, met: &[bool], other: &Border, tree: Option<&Bvh>, config: &
     let mut counts = is_in.clone();
     for group in links.chunk_by(|a, b| a.0 == b.0) {
         let in_seam = group.iter().filter(|(_, n)| is_in[*n as usize]).count();
-        counts[group[0].0 as usize] |= in_seam >= 2;
+        let own = group[0].0 as usize;
+        counts[own] |= in_seam >= 2 && zone.contains(of.points[own], MOVED_M);
     }
     let gap: Vec<Option<f64>> = (0..of.points.len())
         .map(|v| counts[v].then(|| tree.closest(of.points[v], config.reach_m).map(|hit| hit.distance)).flatten())

@@ -3,7 +3,8 @@
 //! # Method
 //! Detail at an image's own resolution is what is lost when it is halved and doubled again; the most of the same in the
 //! octaves below is what a natural image has somewhat more of. Their ratio is the detail share, whatever the contrast; of a
-//! blurred image it is small. It is held against the median of the tiles of the same level.
+//! blurred image it is small. It is held against the median of the tiles of the same level, those with finer ones and
+//! those without apart.
 //!
 //! # Limits
 //! One image a tile, the largest. KTX2 images are not decoded.
@@ -12,6 +13,7 @@ use image::RgbImage;
 use rayon::prelude::*;
 use serde::Serialize;
 
+use super::cover::Cover;
 use super::read::Tileset;
 use crate::Result;
 use crate::report::Reporter;
@@ -32,6 +34,8 @@ const LEAST_CONTRAST: f64 = 0.5;
 pub struct LevelDetail {
     /// Tiles with content above.
     pub level: u32,
+    /// Of its tiles those without finer ones: their images are the source's, the others' were made smaller.
+    pub is_finest: bool,
     /// Images looked at.
     pub images: usize,
     /// Median detail share.
@@ -63,12 +67,13 @@ pub struct Textures {
 /// # Errors
 /// [`crate::Error::Cancelled`].
 pub fn measure(tileset: &Tileset, reporter: &Reporter) -> Result<Textures> {
-    let mut by_level = std::collections::BTreeMap::<u32, Vec<usize>>::new();
+    let cover = Cover::of(tileset);
+    let mut by_level = std::collections::BTreeMap::<(u32, bool), Vec<usize>>::new();
     for tile in (0..tileset.tiles.len()).filter(|&t| tileset.tiles[t].has_mesh()) {
-        by_level.entry(tileset.level(tile)).or_default().push(tile);
+        by_level.entry((tileset.level(tile), cover.has_finer(tile))).or_default().push(tile);
     }
     let mut found = Textures::default();
-    for (level, tiles) in by_level {
+    for ((level, has_finer), tiles) in by_level {
         let step = tiles.len().div_ceil(MOST_TILES);
         let chosen: Vec<usize> = tiles.into_iter().step_by(step).collect();
         let shares: Result<Vec<Option<(usize, f64)>>> = chosen
@@ -79,7 +84,7 @@ pub fn measure(tileset: &Tileset, reporter: &Reporter) -> Result<Textures> {
         let mut sorted: Vec<f64> = shares.iter().map(|s| s.1).collect();
         sorted.sort_by(f64::total_cmp);
         let Some(&median) = sorted.get(sorted.len() / 2) else { continue };
-        found.levels.push(LevelDetail { level, images: sorted.len(), detail_share: median });
+        found.levels.push(LevelDetail { level, is_finest: !has_finer, images: sorted.len(), detail_share: median });
         if sorted.len() >= LEAST_TILES {
             let is_blurred = |s: &&(usize, f64)| s.1 < LEAST_SHARE * median;
             let blurred = |s: &(usize, f64)| Blurred { tile: s.0, detail_share: s.1, level_share: median };

@@ -144,7 +144,7 @@ fn the_builders_certificates_hold_and_a_sound_tileset_has_no_grave_fault() {
         }
         let node = &town().nodes[d.tile];
         assert!(node.geometry_m + 1e-3 >= interval.lower_m, "{} {interval:?}", node.geometry_m);
-        assert!(d.stated_error_m <= 8.0 * interval.upper_m, "{d:?}");
+        assert!(matches!(d.verdict, Verdict::Honest | Verdict::Texture), "{d:?}");
     }
     assert!(certificates > 2 * measured.len(), "per class too: {certificates}");
     let page = page::html(&audit, "town").expect("a page");
@@ -165,7 +165,9 @@ fn planted_faults_are_found_and_named() {
 
     // A vertex of one, and the roofs of another, moved by more than they state.
     let moved = &town.nodes[inner[0]];
-    let at = moved.tile.positions[moved.tile.positions.len() / 2];
+    // The highest: on a wall it would only slide along.
+    let highest = |a: &&DVec3, b: &&DVec3| a.z.total_cmp(&b.z);
+    let at = *moved.tile.positions.iter().max_by(highest).expect("vertices");
     let is_it = |v: usize| moved.tile.positions[v].distance(at) < 1e-6;
     Glb::open(&folder, moved).lift(|v| if is_it(v) { moved.error_m + 2.0 } else { 0.0 });
     let lowered = inner[1..].iter().copied().max_by_key(|&n| of_class(n, 2)).expect("a tile");
@@ -206,7 +208,8 @@ fn planted_faults_are_found_and_named() {
     wants(&audit, "content-outside-volume", &town.nodes[shrunk]);
     let crack = audit.seams.cracks.first().expect("a crack");
     assert!((0.03..0.06).contains(&crack.gap_m), "{crack:?}");
-    assert!(DVec3::from_array(crack.local_m).distance(border) < 3.0, "{crack:?} {border}");
+    // The two frames have other origins: heights differ.
+    assert!((DVec3::from_array(crack.local_m) - border).truncate().length() < 3.0, "{crack:?} {border}");
     assert_eq!(audit.seams.cracks.len(), audit.faults.iter().filter(|f| f.code == "crack").count());
     // The place of the moved vertex is named.
     let worst = audit.distances.iter().find(|d| town.nodes[d.tile].uri == moved.uri).and_then(|d| d.worst);

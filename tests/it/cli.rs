@@ -123,7 +123,7 @@ fn json_is_one_object_on_standard_output_and_a_quiet_run_says_nothing_else() {
     assert_eq!(report["warnings"], serde_json::json!([]));
     let stages: Vec<&str> =
         report["stages"].as_array().expect("stages").iter().filter_map(|s| s["stage"].as_str()).collect();
-    assert_eq!(stages, ["input", "frame", "mesh", "planes", "classes", "cells", "collapse", "tiles"]);
+    assert_eq!(stages, ["input", "frame", "mesh", "planes", "classes", "cells", "collapse", "walls", "tiles"]);
     // Without --json nothing is data; without -q people are told a line a stage.
     let run = command().arg("build").arg(&house).arg("-o").arg(&out).arg("--force").output().expect("a run");
     let run = Run::from(run).wants(0);

@@ -50,6 +50,8 @@ struct Column<'a> {
     count: u64,
     values: &'a [u8],
     kind: Kind<'a>,
+    /// Where 1 says that a feature hides gaps between tiles and is no surface.
+    skirts: Option<&'a [u8]>,
 }
 
 enum Kind<'a> {
@@ -107,6 +109,12 @@ impl<'a> Source<'a> {
         })
     }
 
+    /// True if the feature `id` is a skirt: it hides gaps between tiles and is no part of the surface.
+    pub fn is_skirt(&self, id: u32) -> bool {
+        let value = self.column.skirts.and_then(|values| values.get(usize::try_from(id).ok()?));
+        value.is_some_and(|value| *value != 0)
+    }
+
     /// The class of the feature `id`.
     pub fn name(&self, id: u32) -> Option<String> {
         if self.null_id == Some(id) || u64::from(id) >= self.column.count {
@@ -153,7 +161,12 @@ impl<'a> Column<'a> {
             }
             _ => return None,
         };
-        Some(Self { count, values: view("values")?, kind })
+        let is_byte = |p: &Value| p.get("componentType").and_then(Value::as_str) == Some("UINT8");
+        let skirts = properties.get("skirt").filter(|p| is_byte(p)).and_then(|_| {
+            let view = columns.get("skirt")?.get("values")?.as_u64()?;
+            data.view(Int(view)).ok().map(|view| view.bytes)
+        });
+        Some(Self { count, values: view("values")?, kind, skirts })
     }
 
     fn name(&self, row: u64) -> Option<String> {

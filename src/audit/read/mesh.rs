@@ -31,7 +31,7 @@ use crate::{Error, Result};
 pub struct TileMesh {
     /// In the tileset's local frame, metres. Finite.
     pub positions: Vec<DVec3>,
-    /// Indices into `positions`.
+    /// Indices into `positions`. Skirts, which features with a property `skirt` of 1 are, are left out.
     pub faces: Vec<[u32; 3]>,
     /// For each position, v down; zero where a part has none; empty if no part has any.
     pub uvs: Vec<Vec2>,
@@ -130,6 +130,7 @@ pub fn read(bytes: &[u8], rtc_center: DVec3, job: &Job<'_>) -> std::result::Resu
         local_from_scene,
         columns: Columns::default(),
         mesh: TileMesh::default(),
+        skirts: Vec::new(),
     };
     reader.scene().map_err(|stop| match stop {
         Stop::Gltf(error) => of_gltf(error),
@@ -223,6 +224,8 @@ struct Reader<'a> {
     local_from_scene: DMat4,
     columns: Columns<'a>,
     mesh: TileMesh,
+    /// Faces of skirts, ascending.
+    skirts: Vec<usize>,
 }
 
 impl<'a> Reader<'a> {
@@ -395,6 +398,9 @@ impl<'a> Reader<'a> {
             let [a, b, c] = face.map(|vertex| ids[vertex as usize]);
             // Tilers that share vertices between features give two corners of three to the feature.
             let id = if b == c { b } else { a };
+            if source.is_skirt(id) {
+                self.skirts.push(classes.of_face.len());
+            }
             let class = *known.entry(id).or_insert_with(|| {
                 let Some(name) = source.name(id) else { return FaceClasses::NONE };
                 let at = classes.names.iter().position(|other| *other == name).unwrap_or_else(|| {
@@ -420,6 +426,21 @@ impl<'a> Reader<'a> {
         }
         self.mesh.classes = self.mesh.classes.filter(|classes| (1..=MAX_CLASSES).contains(&classes.names.len()));
         self.mesh.textures = self.images.textures;
+        leave_out(&mut self.mesh, &self.skirts);
         self.mesh
+    }
+}
+
+/// Takes faces out of a mesh, given in ascending order. Their vertices stay: boxes have to hold what is drawn.
+fn leave_out(mesh: &mut TileMesh, faces: &[usize]) {
+    let before = |face: usize| faces.partition_point(|&f| f < face);
+    for part in &mut mesh.parts {
+        part.faces = part.faces.start - before(part.faces.start)..part.faces.end - before(part.faces.end);
+    }
+    let keep = |f: &usize| faces.binary_search(f).is_err();
+    let kept: Vec<usize> = (0..mesh.faces.len()).filter(keep).collect();
+    mesh.faces = kept.iter().map(|&f| mesh.faces[f]).collect();
+    if let Some(classes) = &mut mesh.classes {
+        classes.of_face = kept.iter().map(|&f| classes.of_face[f]).collect();
     }
 }

@@ -115,6 +115,10 @@ impl Progressive {
     ///
     /// A collapse left out marks its vertices and those of the faces that it would have taken away; one that touches a
     /// marked vertex is left out too, because its deviation was measured on another surface.
+    ///
+    /// # Limits
+    /// Not a bound yet: on one real mesh 4 of 132 000 source vertices were up to 20 % further off than the budgets, on
+    /// hills 1 of 330 by 21 %. Cuts by faces, scale, error or bytes, which are prefixes, keep their bounds.
     pub fn within(&self, budgets_m: &[f64; MAX_CLASSES]) -> Replayed {
         let fits = |levels: &[u8; MAX_CLASSES]| levels.iter().zip(budgets_m).all(|(l, b)| size_of(*l) <= *b);
         let base = self.base_points.len();

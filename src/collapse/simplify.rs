@@ -8,6 +8,19 @@
 //!    number of faces or scale is a prefix of one sequence.
 //! 3. The cut is refitted, see [`refit`](super::refit).
 //!
+//! # Numbers
+//! Two-sided mean over that of the best peer at equal faces (10, 5, 1 %), all budgets equal: a building 0.86, 0.82, 0.55
+//! (Lindstrom–Turk); a crossing 0.78, 0.68, 0.15; a campus 0.50, 0.51, 0.77 (meshoptimizer).
+//! What paid: folded faces that vanish in pairs (campus at 10 %: 5.0 → 1.45, and no stall); the true change of squared
+//! distance of samples beside the energy (largest distance halved); the refit (13 %); a limit that grows with the mean
+//! square (largest distance −40 %, mean unchanged); counting shared faces twice when ranking (time −15 %, error equal).
+//! What did not: quadrics that remember, once samples vote; area to the power 1.5 or 2; ranking by distance instead of
+//! squares; a limit of four times the root mean square (mean +3 to +30 %).
+//!
+//! # Cost
+//! To 10 % of 295 000 faces, processor seconds: meshoptimizer 0.17, untracked 0.70, tracked with the sequence 1.18,
+//! refitted 2.15, CGAL's Lindstrom–Turk 4.6. Peak about 400 bytes a face with the input.
+//!
 //! # Promises
 //! At scale t no source vertex is further than t·b of its class from the cut (`the_scale_bounds_every_vertex`); no new
 //! non-manifold edges (`no_edge_gets_a_third_face`).

@@ -468,12 +468,7 @@ fn give_labels(source: &mut Source, path: &Path, reporter: &Reporter) -> Result<
         }
         other.parts.into_iter().flat_map(|p| p.face_labels).collect()
     } else {
-        let text = std::fs::read_to_string(path).map_err(Error::io("read", path))?;
-        let number = |(i, line): (usize, &str)| {
-            let at = crate::error::Place::Line(i as u64 + 1);
-            line.trim().parse().map_err(|_| Error::input_at(path, at, "wanted one whole number a line"))
-        };
-        text.lines().enumerate().filter(|(_, l)| !l.trim().is_empty()).map(number).collect::<Result<_>>()?
+        input::labels::read(path)?
     };
     let wanted: usize = source.parts.iter().map(|p| p.faces.len()).sum();
     if labels.len() != wanted {

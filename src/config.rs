@@ -1,15 +1,17 @@
-//! Every setting of a build, in one tree, and how its layers are merged: defaults, then a file, then `--set key=value`.
+//! Every setting of a build, in one tree, and how its layers are merged: defaults, then a preset, then a file, then
+//! `--set key=value`. In every layer `budget.NAME` is short for the budget of one class.
 
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 use toml::{Table, Value};
 
-use crate::classes::ClassesConfig;
+use crate::classes::{ClassesConfig, scheme};
 use crate::collapse::CollapseConfig;
 use crate::ids::ClassScheme;
 use crate::mesh::GateConfig;
 use crate::planes::PlanesConfig;
+use crate::preset::Preset;
 use crate::texture::TextureConfig;
 use crate::tiles::LevelsConfig;
 use crate::{Error, Result};
@@ -67,25 +69,38 @@ impl Default for WriteConfig {
 
 /// More classes than this do not fit a feature id byte with room to spare.
 const MOST_CLASSES: usize = 32;
+/// Budgets at scale 1, metres.
+const BUDGETS_M: std::ops::RangeInclusive<f64> = 1e-4..=1e3;
 
 impl Config {
-    /// Merges the layers and checks the result.
+    /// Merges the layers without a preset and checks the result.
+    ///
+    /// # Errors
+    /// Those of [`Self::layered_on`].
+    pub fn layered(file: Option<&Path>, sets: &[String]) -> Result<Self> {
+        Self::layered_on(None, file, sets)
+    }
+
+    /// Merges the layers, a later one over an earlier one, and checks the result.
     ///
     /// # Errors
     /// A file that cannot be read or parsed, an unknown key, a value of the wrong type, or settings out of range: all
     /// of them in one message.
-    pub fn layered(file: Option<&Path>, sets: &[String]) -> Result<Self> {
+    pub fn layered_on(preset: Option<&Preset>, file: Option<&Path>, sets: &[String]) -> Result<Self> {
         let mut merged = Table::try_from(Self::default()).map_err(|e| Error::Bug(format!("defaults: {e}")))?;
+        for (key, value) in preset.into_iter().flat_map(|p| p.settings) {
+            layer(&mut merged, parse_set(&format!("{key}={value}"))?)?;
+        }
         if let Some(path) = file {
             let text = std::fs::read_to_string(path)
                 .map_err(|e| Error::Config(format!("--config {}: cannot be read: {e}", path.display())))?;
             let table: Table = text
                 .parse()
                 .map_err(|e: toml::de::Error| Error::Config(format!("{}: {}", path.display(), e.message())))?;
-            merge(&mut merged, table)?;
+            layer(&mut merged, table)?;
         }
         for set in sets {
-            merge(&mut merged, parse_set(set)?)?;
+            layer(&mut merged, parse_set(set)?)?;
         }
         let config: Self = Value::Table(merged).try_into().map_err(|e: toml::de::Error| {
             Error::Config(format!(
@@ -95,6 +110,35 @@ impl Config {
         })?;
         config.check()?;
         Ok(config)
+    }
+
+    /// Sets budgets from `NAME=METRES,…`, the names those of the classes, and checks the result.
+    ///
+    /// # Errors
+    /// A name that no class has, one that is there twice, or a value that is no length in range.
+    pub fn set_budgets(&mut self, text: &str) -> Result<()> {
+        let mut seen = Vec::new();
+        for part in text.split(',') {
+            let names: Vec<&str> = self.classes.0.iter().map(|c| c.name.as_str()).collect();
+            let refuse = |what: String| {
+                let names = names.join(", ");
+                Error::Config(format!("--budget {text}: {what}; wanted NAME=METRES,… with the names {names}"))
+            };
+            let (name, value) =
+                part.split_once('=').ok_or_else(|| refuse(format!("{:?} has no value", part.trim())))?;
+            let (name, value) = (name.trim(), value.trim());
+            let id = self.classes.id(name).ok_or_else(|| refuse(format!("there is no class {name:?}")))?;
+            let metres = value.parse::<f64>().ok().filter(|m| BUDGETS_M.contains(m));
+            let budget_m = metres.ok_or_else(|| {
+                refuse(format!("{value:?} is not {} to {} metres", BUDGETS_M.start(), BUDGETS_M.end()))
+            })?;
+            if seen.contains(&id) {
+                return Err(refuse(format!("{name} is there twice")));
+            }
+            seen.push(id);
+            self.classes.0[id.index()].budget_m = budget_m;
+        }
+        self.check()
     }
 
     /// As TOML, every setting.
@@ -131,19 +175,17 @@ impl Config {
 
     fn check_classes(&self, faults: &mut Vec<String>) {
         let scheme = &self.classes;
-        for wanted in ["terrain", "facade", "roof", "clutter"].iter().enumerate() {
-            if scheme.0.get(wanted.0).is_none_or(|c| c.name != *wanted.1) {
-                faults.push(format!(
-                    "class {} must be {:?}: the classifier's rules speak of the four of the paper",
-                    wanted.0, wanted.1
-                ));
-            }
+        if !(1..=MOST_CLASSES).contains(&scheme.len()) {
+            faults.push(format!("{} classes, wanted 1 to {MOST_CLASSES}", scheme.len()));
         }
-        if scheme.len() > MOST_CLASSES {
-            faults.push(format!("{} classes, at most {MOST_CLASSES}", scheme.len()));
+        let table = self.classify.table();
+        let also = table.map_or(&[][..], |table| &table.classes);
+        faults.extend(scheme::faults(scheme, also));
+        if let Some(table) = table {
+            faults.extend(table.faults(|name| scheme.id(name).is_some() || scheme::BASE.contains(&name)));
         }
         for class in &scheme.0 {
-            if !(1e-4..=1e3).contains(&class.budget_m) {
+            if !BUDGETS_M.contains(&class.budget_m) {
                 faults.push(format!("the budget of {} is {} m, wanted 0.0001 to 1000", class.name, class.budget_m));
             }
         }
@@ -161,6 +203,27 @@ fn parse_set(set: &str) -> Result<Table> {
     let as_toml = format!("{key} = {value}");
     let as_text = || format!("{key} = {}", Value::String(value.to_owned()));
     as_toml.parse().or_else(|_| as_text().parse()).map_err(|_: toml::de::Error| wanted())
+}
+
+/// One layer over those before it; `budget.NAME` goes to the class of that name.
+fn layer(into: &mut Table, mut from: Table) -> Result<()> {
+    let budgets = from.remove("budget");
+    merge(into, from)?;
+    let Some(budgets) = budgets else { return Ok(()) };
+    let classes = into.get_mut("classes").and_then(Value::as_array_mut);
+    let (Value::Table(budgets), Some(classes)) = (budgets, classes) else {
+        return Err(Error::Config("settings: budget is a group of settings; set budget.NAME".into()));
+    };
+    for (name, value) in budgets {
+        let named = |c: &&mut Value| c.get("name").and_then(Value::as_str) == Some(&name);
+        let class = classes.iter_mut().find(named).and_then(Value::as_table_mut);
+        let metres = value.as_float().or(value.as_integer().map(|i| i as f64));
+        let (Some(class), Some(metres)) = (class, metres) else {
+            return Err(Error::Config(format!("settings: budget.{name} = {value}: wanted a class and metres")));
+        };
+        class.insert("budget_m".into(), Value::Float(metres));
+    }
+    Ok(())
 }
 
 fn merge(into: &mut Table, from: Table) -> Result<()> {
@@ -206,6 +269,81 @@ mod tests {
         let file = tempfile::NamedTempFile::new().unwrap();
         std::fs::write(file.path(), config.to_toml().unwrap()).unwrap();
         assert_eq!(Config::layered(Some(file.path()), &[]).unwrap(), config);
+    }
+
+    const SPLIT: &str = r#"
+[[classes]]
+name = "terrain"
+budget_m = 0.1
+color = [166, 124, 82]
+[[classes]]
+name = "building"
+of = ["facade", "roof"]
+budget_m = 0.05
+color = [58, 104, 190]
+[[classes]]
+name = "vegetation"
+of = ["clutter"]
+when = [{ feature = "greenness", above = 10.0, width = 5.0 }]
+budget_m = 0.2
+color = [86, 158, 74]
+[[classes]]
+name = "clutter"
+budget_m = 0.1
+color = [120, 120, 120]
+"#;
+
+    #[test]
+    fn a_scheme_of_its_own_is_read_checked_and_dumped() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), SPLIT).unwrap();
+        let config = Config::layered(Some(file.path()), &[]).unwrap();
+        assert_eq!((config.classes.len(), config.classes.0[2].when.len()), (4, 1));
+        std::fs::write(file.path(), config.to_toml().unwrap()).unwrap();
+        assert_eq!(Config::layered(Some(file.path()), &[]).unwrap(), config);
+        std::fs::write(file.path(), SPLIT.replace("[\"clutter\"]", "[\"cluter\"]")).unwrap();
+        let message = Config::layered(Some(file.path()), &[]).unwrap_err().to_string();
+        assert!(message.contains("cluter"), "{message}");
+    }
+
+    #[test]
+    fn a_table_of_its_own_is_read_checked_and_dumped() {
+        let table = crate::classes::paper::Table::embedded("cgal").unwrap();
+        let mut config = set(&["classify.classifier=cgal"]).unwrap();
+        config.classify.table = Some(table.clone());
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), config.to_toml().unwrap()).unwrap();
+        assert_eq!(Config::layered(Some(file.path()), &[]).unwrap(), config);
+        config.classify.table.as_mut().unwrap().rows[0].effects = "F F".into();
+        assert!(config.check().unwrap_err().to_string().contains("\"F F\""));
+    }
+
+    #[test]
+    fn presets_lie_below_the_file_and_the_file_below_set_and_set_below_flags() {
+        use crate::preset::PRESETS;
+        for preset in &PRESETS {
+            Config::layered_on(Some(preset), None, &[]).unwrap();
+        }
+        let file = tempfile::NamedTempFile::new().unwrap();
+        std::fs::write(file.path(), "[budget]\nterrain = 3\nroof = 3.0\n[levels]\nkeep_tops = false\n").unwrap();
+        let flight = Preset::of("flight");
+        assert!(Config::layered_on(flight, None, &[]).unwrap().levels.keep_tops);
+        let mut config = Config::layered_on(flight, Some(file.path()), &["budget.roof=4".into()]).unwrap();
+        assert!(!config.levels.keep_tops);
+        config.set_budgets("facade=5").unwrap();
+        let budgets: Vec<f64> = config.classes.0.iter().map(|c| c.budget_m).collect();
+        assert_eq!(budgets, [3.0, 5.0, 4.0, 0.1]);
+    }
+
+    #[test]
+    fn a_budget_that_makes_no_sense_is_a_usage_error_that_names_the_classes() {
+        for wrong in ["", "roof", "roof=", "roof=-1", "roof=nan", "roof=0.05,roof=0.06", "dach=0.05", "roof=0.05,"] {
+            let error = Config::default().set_budgets(wrong).unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            assert!(error.to_string().contains("terrain, facade, roof, clutter"), "{error}");
+        }
+        assert_eq!(set(&["budget.dach=1"]).unwrap_err().exit_code(), 2);
+        assert_eq!(set(&["budget=1"]).unwrap_err().exit_code(), 2);
     }
 
     #[test]

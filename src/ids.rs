@@ -32,6 +32,44 @@ pub struct ClassSpec {
     pub budget_m: f64,
     /// sRGB colour in previews.
     pub color: [u8; 3],
+    /// Which of the rules' own classes (`terrain`, `facade`, `roof`, `clutter`) it is, or is part of. Default: none,
+    /// which goes by the name.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub of: Vec<String>,
+    /// What sets it apart from the rest of `of`; all cues have to hold. Default: none, which is the rest itself.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub when: Vec<Cue>,
+}
+
+impl ClassSpec {
+    /// A class that goes by its name alone.
+    pub fn new(name: impl Into<String>, budget_m: f64, color: [u8; 3]) -> Self {
+        Self { name: name.into(), budget_m, color, of: Vec::new(), when: Vec::new() }
+    }
+}
+
+/// One soft condition on a feature: a sigmoid around a threshold.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Cue {
+    /// Name of a feature, as `rooftile label --features` lists them.
+    pub feature: String,
+    /// Holds above this value, in the feature's unit. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub above: Option<f64>,
+    /// Holds below this value. Default: none. With `above`, too, it holds between the two.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub below: Option<f64>,
+    /// Distance over which belief goes from 0.27 to 0.73, in the feature's unit, > 0.
+    pub width: f64,
+}
+
+impl Cue {
+    /// How well a value fits, 0 to 1.
+    pub fn belief(&self, value: f64) -> f64 {
+        let rising = |at: f64| 1.0 / (1.0 + (-2.0 * (value - at) / self.width).exp());
+        self.above.map_or(1.0, rising) * self.below.map_or(1.0, |at| 1.0 - rising(at))
+    }
 }
 
 /// The classes of a run, in id order. The default is the paper's four.
@@ -41,7 +79,7 @@ pub struct ClassScheme(pub Vec<ClassSpec>);
 
 impl Default for ClassScheme {
     fn default() -> Self {
-        let class = |name: &str, budget_m, color| ClassSpec { name: name.into(), budget_m, color };
+        let class = |name: &str, budget_m, color| ClassSpec::new(name, budget_m, color);
         // Budgets: 2:1 between ground and building was the best trade measured (DESIGN §2).
         // Colours: the paper's Figure 4 (brown, red, blue, green).
         Self(vec![
@@ -79,5 +117,19 @@ impl std::ops::Index<ClassId> for ClassScheme {
     type Output = ClassSpec;
     fn index(&self, id: ClassId) -> &ClassSpec {
         &self.0[id.index()]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cue_believes_half_at_its_threshold_and_both_sides_of_a_band_count() {
+        let cue = |above, below| Cue { feature: "height_m".into(), above, below, width: 0.5 };
+        assert_eq!(cue(Some(2.0), None).belief(2.0), 0.5);
+        assert!(cue(Some(2.0), None).belief(4.0) > 0.99 && cue(None, Some(2.0)).belief(4.0) < 0.01);
+        let band = cue(Some(1.0), Some(3.0));
+        assert!(band.belief(2.0) > 0.9 && band.belief(0.0) < 0.05 && band.belief(4.0) < 0.05);
     }
 }

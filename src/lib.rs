@@ -12,19 +12,24 @@
 //! `input` is the only module that sees untrusted bytes and `mesh` the only gate behind it: past the gate the
 //! stages cannot fail. `serve` and `inspect` read published files only and know nothing of the builder.
 
+pub mod audit;
 pub mod classes;
 pub mod cli;
 pub mod collapse;
 pub mod config;
 pub mod demo;
+pub mod draw;
 pub mod error;
+pub mod experiment;
 pub mod geo;
 pub mod ids;
 pub mod input;
 pub mod inspect;
+pub mod measure;
 pub mod mesh;
 pub mod pipeline;
 pub mod planes;
+pub mod preset;
 pub mod report;
 pub mod schema;
 pub mod serve;

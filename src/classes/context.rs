@@ -33,6 +33,11 @@ const FREE_RIM: f64 = 0.8;
 const FREE_HILL: f64 = 0.35;
 /// Share of the area under the free rim that has to be wall. Measured: buildings 0.13 to 1.4, nature 0.00.
 const WALLED: f64 = 0.1;
+/// What is larger than this many least footprints and ends with the capture along most of its rim is a terrace cut
+/// off by it: of a building that large one would see more sides.
+const WIDE: f64 = 40.0;
+/// See [`WIDE`].
+const CUT_OFF_RIM: f64 = 0.6;
 /// A wall farther than this from every building must stand for itself, metres.
 const NEAR_M: f64 = 3.0;
 /// A wall that stands for itself has at least this many times the least footprint.
@@ -41,6 +46,10 @@ const LONE_WALL: f64 = 3.0;
 const ENCLOSED: f64 = 0.8;
 /// A patch above this many times the least footprint is not enclosed, whatever its rim.
 const ENCLOSED_AREA: f64 = 5.0;
+/// What looks up from less than this below a roof's surface is part of the roof, metres; a balcony is lower.
+const STOREY_M: f64 = 2.0;
+/// z of the normal of what looks up: 60°.
+const UPWARD: f64 = 0.5;
 /// Clearance under a roof's surface where walls begin, metres.
 const UNDER_ROOF_M: f64 = 0.5;
 
@@ -64,6 +73,8 @@ pub fn revise(
 enum Verdict {
     Building,
     Hill,
+    /// A hill so wide that the walls at its edge hold it.
+    Terrace,
     Clutter,
 }
 
@@ -74,6 +85,8 @@ struct Sums {
     area: f64,
     /// Length of the rim beyond which something was captured, metres.
     rim: f64,
+    /// Length of the rim at which the surface ends and beyond which nothing was.
+    open: f64,
     /// Of that, what ends in the air.
     free: f64,
     /// What would hang from the free rim to the ground, m².
@@ -83,14 +96,21 @@ struct Sums {
 }
 
 impl Sums {
+    fn is_wide(&self, config: &ClassesConfig) -> bool {
+        self.area > WIDE * config.min_footprint_m2
+    }
+
     fn verdict(&self, config: &ClassesConfig) -> Verdict {
         let is_walled = self.walls > WALLED * self.curtain;
+        let is_cut_off = self.is_wide(config) && self.open > CUT_OFF_RIM * (self.open + self.rim);
         if self.area < config.min_footprint_m2 {
             Verdict::Clutter
+        } else if is_cut_off {
+            Verdict::Terrace
         } else if self.free >= if is_walled { FREE_WALLED_RIM } else { FREE_RIM } * self.rim {
             Verdict::Building
         } else if self.free < FREE_HILL * self.rim {
-            Verdict::Hill
+            if self.is_wide(config) { Verdict::Terrace } else { Verdict::Hill }
         } else {
             Verdict::Clutter
         }
@@ -101,7 +121,7 @@ impl Sums {
 struct Footprints {
     /// Group per cell, `NONE` outside.
     group: Vec<u32>,
-    /// Highest roof per cell, absolute z.
+    /// Highest roof per cell, as [`Ground::level`].
     top: Vec<f64>,
     verdicts: Vec<Verdict>,
 }
@@ -120,13 +140,17 @@ impl Footprints {
                     let Some(own) = group_at(ground, &group, centre(mesh, f)) else { continue };
                     let sum = &mut sums[own as usize];
                     sum.area += 0.5 * mesh.cross(f).z.abs();
-                    for (edge, beyond) in rim(mesh, neighbours, f, |g| best(&field[g]) == ROOF) {
-                        let Some(drop) = ground.drop_below(beyond) else { continue };
+                    for (edge, beyond, is_end) in rim(mesh, neighbours, f, |g| best(&field[g]) == ROOF) {
+                        let length = edge[0].distance(edge[1]);
+                        let Some(drop) = ground.drop_below(beyond) else {
+                            // A wall below the rim shows that this is no cut.
+                            sum.open += if is_end { length } else { 0.0 };
+                            continue;
+                        };
                         if group_at(ground, &group, beyond) == Some(own) {
                             continue;
                         }
                         let height = ground.height_above((edge[0] + edge[1]) / 2.0);
-                        let length = edge[0].distance(edge[1]);
                         sum.rim += length;
                         if height - drop < FALL * height {
                             sum.free += length;
@@ -160,13 +184,14 @@ fn centre(mesh: &Mesh, f: usize) -> DVec3 {
     (a + b + c) / 3.0
 }
 
-/// Edges of a face behind which `is_same` does not hold, each with a point beyond it at the edge's height.
+/// Edges of a face behind which `is_same` does not hold, each with a point beyond it at the edge's height and whether
+/// the surface ends there.
 fn rim<'a>(
     mesh: &'a Mesh,
     neighbours: &'a [[u32; 3]],
     f: usize,
     is_same: impl Fn(usize) -> bool + 'a,
-) -> impl Iterator<Item = ([DVec3; 2], DVec3)> + 'a {
+) -> impl Iterator<Item = ([DVec3; 2], DVec3, bool)> + 'a {
     let (corners, middle) = (mesh.corners(f), centre(mesh, f));
     let open = (0..3).filter(move |&k| neighbours[f][k] == NONE || !is_same(neighbours[f][k] as usize));
     open.map(move |k| {
@@ -176,7 +201,7 @@ fn rim<'a>(
         if out.dot((halfway - middle).truncate()) < 0.0 {
             out = -out;
         }
-        (edge, halfway + BEYOND_RIM_M * out.extend(0.0))
+        (edge, halfway + BEYOND_RIM_M * out.extend(0.0), neighbours[f][k] == NONE)
     })
 }
 
@@ -185,13 +210,13 @@ fn judge_roofs(mesh: &Mesh, ground: &Ground, footprints: &Footprints, field: &mu
     for (f, scores) in field.iter_mut().enumerate().filter(|(_, scores)| best(*scores) == ROOF) {
         match footprints.verdict(ground, centre(mesh, f)) {
             Some(Verdict::Building) => {}
-            Some(Verdict::Hill) => scores.swap(ROOF, TERRAIN),
+            Some(Verdict::Hill | Verdict::Terrace) => scores.swap(ROOF, TERRAIN),
             Some(Verdict::Clutter) | None => scores.swap(ROOF, CLUTTER),
         }
     }
 }
 
-/// Small walls far from any building become clutter, region by region.
+/// Small walls far from any building become clutter, walls under a terrace's edge terrain, region by region.
 fn judge_walls(
     mesh: &Mesh,
     planes: &Planes,
@@ -200,40 +225,56 @@ fn judge_walls(
     footprints: &Footprints,
     field: &mut [Scores],
 ) {
-    let is_building = |group: &u32| *group != NONE && footprints.verdicts[*group as usize] == Verdict::Building;
-    let near = ground.grown(footprints.group.iter().map(is_building).collect(), NEAR_M);
-    let mut beside = vec![0.0f64; planes.regions.len()];
+    let near = |verdict: Verdict| {
+        let is_one = |group: &u32| *group != NONE && footprints.verdicts[*group as usize] == verdict;
+        ground.grown(footprints.group.iter().map(is_one).collect(), NEAR_M)
+    };
+    let (building, terrace) = (near(Verdict::Building), near(Verdict::Terrace));
     let is_wall = |field: &[Scores], f: usize| best(&field[f]) == FACADE;
-    let is_near = |f: usize| ground.cell(centre(mesh, f)).is_some_and(|cell| near[cell]);
+    let is_in = |cells: &[bool], f: usize| ground.cell(centre(mesh, f)).is_some_and(|cell| cells[cell]);
+    // Per region, area near buildings and near terraces.
+    let mut beside = vec![[0.0f64; 2]; planes.regions.len()];
     for f in 0..field.len() {
-        if planes.face_region[f] != NONE && is_wall(field, f) && is_near(f) {
-            beside[planes.face_region[f] as usize] += 0.5 * mesh.cross(f).length();
+        if planes.face_region[f] != NONE && is_wall(field, f) {
+            let area = 0.5 * mesh.cross(f).length();
+            let beside = &mut beside[planes.face_region[f] as usize];
+            beside[0] += if is_in(&building, f) { area } else { 0.0 };
+            beside[1] += if is_in(&terrace, f) { area } else { 0.0 };
         }
     }
     for f in 0..field.len() {
         if !is_wall(field, f) {
             continue;
         }
-        let stands = match planes.face_region[f] {
-            NONE => is_near(f),
+        let (is_houses, holds, is_large) = match planes.face_region[f] {
+            NONE => (is_in(&building, f), is_in(&terrace, f), false),
             r => {
-                let area = planes.regions[r as usize].area_m2;
-                beside[r as usize] > 0.2 * area || area > LONE_WALL * config.min_footprint_m2
+                let (area, [houses, terraces]) = (planes.regions[r as usize].area_m2, beside[r as usize]);
+                (houses > 0.2 * area, terraces > 0.2 * area, area > LONE_WALL * config.min_footprint_m2)
             }
         };
-        if !stands {
+        // A wall whose top is ground on its other side holds it.
+        if holds && !is_houses {
+            field[f].swap(FACADE, TERRAIN);
+        } else if !is_houses && !is_large {
             field[f].swap(FACADE, CLUTTER);
         }
     }
 }
 
-/// Clutter under a building's roof is its wall.
+/// Clutter under a building's roof is its wall, or roof if it looks up from less than a storey below.
 fn shelter(mesh: &Mesh, ground: &Ground, footprints: &Footprints, field: &mut [Scores]) {
     for (f, scores) in field.iter_mut().enumerate().filter(|(_, scores)| best(*scores) == CLUTTER) {
         let p = centre(mesh, f);
-        if footprints.verdict(ground, p) == Some(Verdict::Building)
-            && ground.cell(p).is_some_and(|cell| p.z < footprints.top[cell] - UNDER_ROOF_M)
-        {
+        if footprints.verdict(ground, p) != Some(Verdict::Building) {
+            continue;
+        }
+        let Some(below) = ground.cell(p).map(|cell| footprints.top[cell] - ground.level(p)) else { continue };
+        let cross = mesh.cross(f);
+        let is_upward = cross.z > UPWARD * cross.length();
+        if is_upward && below > 0.0 && below < STOREY_M {
+            scores.swap(CLUTTER, ROOF);
+        } else if below > UNDER_ROOF_M {
             scores.swap(CLUTTER, FACADE);
         }
     }

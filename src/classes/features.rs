@@ -49,22 +49,20 @@ impl Features {
     /// Measures every face and region.
     pub fn of(mesh: &Mesh, planes: &Planes, ground: &Ground) -> Self {
         let faces = (0..mesh.faces.len()).into_par_iter().with_min_len(4096);
-        let height_m: Vec<f32> = faces
-            .clone()
-            .map(|f| {
-                let [a, b, c] = mesh.corners(f);
-                ground.height_above((a + b + c) / 3.0)
-            })
-            .collect();
+        let (mut height_m, mut ground_slope) = (Vec::new(), Vec::new());
+        let at = |f: usize| {
+            let [a, b, c] = mesh.corners(f);
+            let centre = (a + b + c) / 3.0;
+            (ground.height_above(centre), ground.steepness(centre))
+        };
+        faces.clone().map(at).unzip_into_vecs(&mut height_m, &mut ground_slope);
         let normal_z: Vec<f32> = faces
-            .clone()
             .map(|f| {
                 let of = |v: u32| planes.vertex_normals[v as usize];
                 let [a, b, c] = mesh.faces[f];
                 (of(a) + of(b) + of(c)).normalize_or_zero().z
             })
             .collect();
-        let ground_slope = faces.map(|f| ground.steepness(mesh.corners(f)[0])).collect();
         let mut sums = vec![Sums::default(); planes.regions.len()];
         for (f, &r) in planes.face_region.iter().enumerate().filter(|(_, r)| **r != NONE) {
             let (sum, region) = (&mut sums[r as usize], &planes.regions[r as usize]);

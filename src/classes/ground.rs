@@ -10,7 +10,8 @@
 //!
 //! # Limits
 //! a hill with vertical sides narrower than the widest window is an object; a building that hangs on a
-//! slope without a free side is ground; skirts below a tile's rim can pass for wall feet
+//! slope without a free side is ground; the grid does not turn with the mesh (the demo city turned by 7° changes 0.6 %
+//! of its area); skirts below a tile's rim can pass for wall feet
 //!
 //! # References
 //! Zhang et al., A progressive morphological filter for removing nonground measurements, 2003
@@ -123,6 +124,11 @@ impl Ground {
         low.is_finite().then_some((p.z - self.origin.z) as f32 - low)
     }
 
+    /// Height of a point over the zero of the grid, metres.
+    pub fn level(&self, p: DVec3) -> f64 {
+        p.z - self.origin.z
+    }
+
     /// The cell at the plan position of `p`; `None` outside the grid.
     pub fn cell(&self, p: DVec3) -> Option<usize> {
         let q = (p - self.origin) / self.cell_m;
@@ -137,7 +143,7 @@ impl Ground {
             let normal: f32 = mesh.faces[f].iter().map(|&v| planes.vertex_normals[v as usize].z).sum::<f32>() / 3.0;
             if normal > UPWARD {
                 self.for_cells(mesh.corners(f), |cell, z| {
-                    low[cell] = low[cell].min((z - self.origin.z) as f32);
+                    low[cell] = low[cell].min(z as f32);
                 });
             }
         }
@@ -151,13 +157,13 @@ impl Ground {
         self.fill_pits(low)
     }
 
-    /// Visits the cells under a triangle with its height there: its corners, and its inside where it is wider than
+    /// Visits the cells under a triangle with its [`Ground::level`] there: its corners, and its inside where it is wider than
     /// a cell. A cell may be visited several times.
     pub fn for_cells(&self, corners: [DVec3; 3], mut visit: impl FnMut(usize, f64)) {
         let [a, b, c] = corners.map(|p| p - self.origin);
         let mut put = |p: DVec3| {
             let (i, j) = ((p.x / self.cell_m) as usize, (p.y / self.cell_m) as usize);
-            visit(j.min(self.ny - 1) * self.nx + i.min(self.nx - 1), p.z + self.origin.z);
+            visit(j.min(self.ny - 1) * self.nx + i.min(self.nx - 1), p.z);
         };
         [a, b, c].into_iter().for_each(&mut put);
         let (min, max) = (a.min(b).min(c) / self.cell_m, a.max(b).max(c) / self.cell_m);

@@ -26,14 +26,57 @@ pub fn neighbourhood(i: usize, j: usize, nx: usize, ny: usize) -> impl Iterator<
 }
 
 /// Minimum or maximum over windows of (2 half + 1)² cells, cut off at the grid's rim. Infinite cells take part.
+///
+/// Windows double until two of them cover the wanted one: log₂ passes of the simplest kind. Cells repeated beyond
+/// the rim are in every window that reaches there anyway.
 pub fn extreme(z: &[f32], nx: usize, ny: usize, half: usize, pick: impl Fn(f32, f32) -> f32 + Copy + Sync) -> Vec<f32> {
-    let along_rows = |z: &[f32], nx: usize| -> Vec<f32> {
-        let mut out = vec![0.0; z.len()];
-        out.par_chunks_mut(nx).zip(z.par_chunks(nx)).for_each(|(out, row)| slide(row, out, half, pick));
-        out
+    let window = 2 * half + 1;
+    let mut rows = vec![0.0; z.len()];
+    rows.par_chunks_mut(nx).zip(z.par_chunks(nx)).with_min_len(16).for_each_init(
+        || (Vec::new(), Vec::new()),
+        |(padded, next), (out, row)| {
+            let beyond = |cell: f32| std::iter::repeat_n(cell, half);
+            padded.clear();
+            padded.extend(beyond(row[0]).chain(row.iter().copied()).chain(beyond(row[nx - 1])));
+            let mut have = 1;
+            while 2 * have <= window {
+                next.clear();
+                next.extend(padded.iter().zip(&padded[have..]).map(|(a, b)| pick(*a, *b)));
+                std::mem::swap(padded, next);
+                have *= 2;
+            }
+            let ends = padded.iter().zip(&padded[window - have..]);
+            out.iter_mut().zip(ends).for_each(|(out, (a, b))| *out = pick(*a, *b));
+        },
+    );
+    columns(&rows, nx, ny, window, pick)
+}
+
+/// The same along columns, whole rows at a time.
+fn columns(z: &[f32], nx: usize, ny: usize, window: usize, pick: impl Fn(f32, f32) -> f32 + Copy + Sync) -> Vec<f32> {
+    let half = window / 2;
+    let both = |from: &[f32], a: usize, b: usize, out: &mut [f32]| {
+        let (a, b) = (&from[a * nx..(a + 1) * nx], &from[b * nx..(b + 1) * nx]);
+        out.iter_mut().zip(a.iter().zip(b)).for_each(|(out, (a, b))| *out = pick(*a, *b));
     };
-    let turned = transposed(&along_rows(z, nx), nx, ny);
-    transposed(&along_rows(&turned, ny), ny, nx)
+    let mut padded = Vec::with_capacity((ny + 2 * half) * nx);
+    (0..half).for_each(|_| padded.extend_from_slice(&z[..nx]));
+    padded.extend_from_slice(z);
+    (0..half).for_each(|_| padded.extend_from_slice(&z[(ny - 1) * nx..]));
+    let mut next = vec![0.0; padded.len()];
+    let mut have = 1;
+    let mut left = ny + 2 * half;
+    while 2 * have <= window {
+        left -= have;
+        let rows = next[..left * nx].par_chunks_mut(nx).with_min_len(16).enumerate();
+        rows.for_each(|(j, out)| both(&padded, j, j + have, out));
+        std::mem::swap(&mut padded, &mut next);
+        have *= 2;
+    }
+    next.truncate(ny * nx);
+    let rows = next.par_chunks_mut(nx).with_min_len(16).enumerate();
+    rows.for_each(|(j, out)| both(&padded, j, j + window - have, out));
+    next
 }
 
 /// `f32::min` without its care for NaN, which the grid cannot hold: half the time.
@@ -44,41 +87,6 @@ pub fn lower(a: f32, b: f32) -> f32 {
 /// See [`lower`].
 pub fn higher(a: f32, b: f32) -> f32 {
     if b > a { b } else { a }
-}
-
-/// Van Herk's running extreme: three picks a cell whatever the window.
-fn slide(row: &[f32], out: &mut [f32], half: usize, pick: impl Fn(f32, f32) -> f32 + Copy) {
-    let (n, window) = (row.len(), 2 * half + 1);
-    if window <= 7 || n <= window {
-        for (i, out) in out.iter_mut().enumerate() {
-            let around = &row[i.saturating_sub(half)..(i + half + 1).min(n)];
-            *out = around.iter().copied().reduce(pick).unwrap_or(row[i]);
-        }
-        return;
-    }
-    // `ahead[i]`: extreme from the start of i's block to i; `back[i]`: from i to the end of its block.
-    let (mut ahead, mut back) = (row.to_vec(), row.to_vec());
-    for i in 1..n {
-        if i % window != 0 {
-            ahead[i] = pick(ahead[i - 1], row[i]);
-        }
-    }
-    for i in (0..n - 1).rev() {
-        if (i + 1) % window != 0 {
-            back[i] = pick(back[i + 1], row[i]);
-        }
-    }
-    for (i, out) in out.iter_mut().enumerate() {
-        let (first, last) = (i.saturating_sub(half), (i + half).min(n - 1));
-        // A window cut off at the rim may lie inside one block; there the prefix (or suffix) alone is right.
-        *out = if i < half {
-            ahead[last]
-        } else if last / window == first / window {
-            if last == n - 1 { back[first] } else { ahead[last] }
-        } else {
-            pick(back[first], ahead[last])
-        };
-    }
 }
 
 fn transposed(z: &[f32], nx: usize, ny: usize) -> Vec<f32> {
@@ -158,13 +166,16 @@ mod tests {
 
     #[test]
     fn the_running_minimum_agrees_with_the_plain_one() {
-        let row: Vec<f32> = (0..53).map(|i| ((i * 37) % 23) as f32).collect();
-        for half in [1, 3, 4, 7, 11, 25, 26, 40] {
-            let mut out = vec![0.0; row.len()];
-            slide(&row, &mut out, half, lower);
-            for i in 0..row.len() {
-                let around = &row[i.saturating_sub(half)..(i + half + 1).min(row.len())];
-                assert_eq!(out[i], around.iter().copied().fold(f32::INFINITY, f32::min), "half {half}, place {i}");
+        for (nx, ny) in [(53, 7), (7, 53), (1, 9), (20, 20)] {
+            let z: Vec<f32> = (0..nx * ny).map(|i| ((i * 37) % 101) as f32).collect();
+            for half in [1, 2, 3, 4, 7, 11, 25, 26, 40] {
+                let out = extreme(&z, nx, ny, half, lower);
+                for (cell, found) in out.iter().enumerate() {
+                    let (i, j) = (cell % nx, cell / nx);
+                    let near = |other: &usize| (other % nx).abs_diff(i) <= half && (other / nx).abs_diff(j) <= half;
+                    let plain = (0..z.len()).filter(near).map(|other| z[other]).fold(f32::INFINITY, f32::min);
+                    assert_eq!(*found, plain, "half {half}, cell {i}, {j} of {nx} × {ny}");
+                }
             }
         }
     }

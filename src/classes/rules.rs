@@ -5,6 +5,7 @@
 
 use super::ClassesConfig;
 use super::features::{Features, RegionFeatures};
+use super::smooth::exp;
 
 /// Terrain, façade, roof, clutter.
 pub type Scores = [f32; 4];
@@ -19,7 +20,7 @@ const STEEPEST_ROOF: f32 = 0.42;
 
 /// 0 far below `at`, 1 far above; `width` is the distance over which it goes from 0.27 to 0.73.
 fn above(x: f32, at: f32, width: f32) -> f32 {
-    1.0 / (1.0 + (-2.0 * (x - at) / width).exp())
+    1.0 / (1.0 + exp(-2.0 * (x - at) / width))
 }
 
 /// Scores of face `f`, which sum to 1.
@@ -35,11 +36,11 @@ pub fn scores(features: &Features, f: usize, region: Option<&RegionFeatures>, co
     let mut scores = match region {
         Some(r) => {
             let smooth = 1.0 - above(r.spread, config.foliage_spread as f32, 0.06);
-            let large = 1.0 - (-r.area_m2 / config.area_scale_m2 as f32).exp();
+            let large = 1.0 - exp(-r.area_m2 / config.area_scale_m2 as f32);
             // Noise grows with neither side of a plane; what bends departs in proportion to its size.
             let flatness = 1.0 - above(r.rms_m / r.area_m2.sqrt().max(1e-3), BENT, 0.008);
             // A plane through k rough faces is evidence in proportion to k; one without residual is at once.
-            let evident = 1.0 - (-(r.faces as f32) / 20.0).exp() * above(r.rms_m, 0.02, 0.01);
+            let evident = 1.0 - exp(-(r.faces as f32) / 20.0) * above(r.rms_m, 0.02, 0.01);
             let planar = smooth * flatness * evident * (0.25 + 0.75 * large);
             let upright = 1.0 - above(r.normal_z.abs(), config.upright_deg.to_radians().sin() as f32, 0.06);
             // A wall stands free: its top is in the air. A cliff's top is ground.

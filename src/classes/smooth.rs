@@ -1,6 +1,6 @@
 //! Neighbours agree: a mean field over face adjacency, then a vote per plane.
 
-use glam::DVec3;
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::ClassesConfig;
@@ -27,37 +27,47 @@ pub fn smooth(
 /// Potts mean field: Q(c) ∝ P(c) exp(λ Σ w Q'(c)), w by shared edge and agreeing normals. Every sweep reads only
 /// the last one's result, so threads do not matter.
 fn mean_field(mesh: &Mesh, planes: &Planes, neighbours: &[[u32; 3]], strength: f32, unary: Vec<Scores>) -> Vec<Scores> {
-    let weights: Vec<[f32; 3]> = per_face(mesh, |f| edge_weights(mesh, planes, neighbours, f));
+    let normals: Vec<Vec3> = per_face(mesh, |f| {
+        let [a, b, c] = mesh.faces[f].map(|v| planes.vertex_normals[v as usize]);
+        (a + b + c).normalize_or_zero()
+    });
+    let weights = per_face(mesh, |f| edge_weights(mesh, &normals, neighbours, f).map(|w| strength * w));
+    drop(normals);
     let mut field = unary.clone();
+    let mut next = unary.clone();
     for _ in 0..SWEEPS {
-        field = per_face(mesh, |f| {
+        next.par_iter_mut().with_min_len(4096).enumerate().for_each(|(f, scores)| {
             let mut push = [0.0f32; 4];
             for (&g, &w) in neighbours[f].iter().zip(&weights[f]).filter(|(g, _)| **g != NONE) {
-                let of = field[g as usize];
+                let of = &field[g as usize];
                 (0..4).for_each(|c| push[c] += w * of[c]);
             }
-            let mut scores: Scores = std::array::from_fn(|c| unary[f][c] * (strength * push[c]).exp());
-            normalise(&mut scores);
-            scores
+            *scores = std::array::from_fn(|c| unary[f][c] * exp(push[c]));
+            normalise(scores);
         });
+        std::mem::swap(&mut field, &mut next);
     }
     field
 }
 
+/// e^x to six digits for |x| up to 80, without a call and with the same bits on every platform.
+pub fn exp(x: f32) -> f32 {
+    let scaled = x.clamp(-80.0, 80.0) * std::f32::consts::LOG2_E;
+    let whole = scaled.floor();
+    // 2^t on [0, 1] as Taylor's sum of e^(t ln 2) about one half, whose constant is the root of two.
+    let t = (scaled - whole - 0.5) * std::f32::consts::LN_2;
+    let sum = 1.0 + t * (1.0 + t * (0.5 + t * (1.0 / 6.0 + t * (1.0 / 24.0 + t * (1.0 / 120.0)))));
+    std::f32::consts::SQRT_2 * sum * f32::from_bits(((whole as i32 + 127) as u32) << 23)
+}
+
 /// Weights of the three neighbours: shares of the perimeter, less across a crease.
-fn edge_weights(mesh: &Mesh, planes: &Planes, neighbours: &[[u32; 3]], f: usize) -> [f32; 3] {
-    let corners = mesh.corners(f);
-    let lengths: [f64; 3] = std::array::from_fn(|k| corners[k].distance(corners[(k + 1) % 3]));
-    let perimeter = lengths.iter().sum::<f64>().max(1e-12);
-    let normal = |f: usize| -> DVec3 {
-        let of = |v: u32| planes.vertex_normals[v as usize].as_dvec3();
-        let [a, b, c] = mesh.faces[f];
-        (of(a) + of(b) + of(c)).normalize_or_zero()
-    };
-    let own = normal(f);
+fn edge_weights(mesh: &Mesh, normals: &[Vec3], neighbours: &[[u32; 3]], f: usize) -> [f32; 3] {
+    let [a, b, c] = mesh.corners(f);
+    let lengths = [b - a, c - b, a - c].map(|edge| edge.as_vec3().length());
+    let per_perimeter = 1.0 / lengths.iter().sum::<f32>().max(1e-12);
     std::array::from_fn(|k| match neighbours[f][k] {
         NONE => 0.0,
-        g => (lengths[k] / perimeter * (0.2 + 0.8 * own.dot(normal(g as usize)).max(0.0))) as f32,
+        g => lengths[k] * per_perimeter * (0.2 + 0.8 * normals[f].dot(normals[g as usize]).max(0.0)),
     })
 }
 

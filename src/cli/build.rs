@@ -10,8 +10,10 @@ use crate::geo::{Georeference, georeference};
 use crate::input::discover::{Found, discover};
 use crate::input::{self, InputConfig};
 use crate::pipeline::{self, Feed, InputDigest, Job, Resources};
+use crate::preset::{PRESETS, Preset};
 use crate::report::Reporter;
 use crate::store::memory;
+use crate::tiles::skirt::Skirts;
 use crate::{Error, Result};
 
 #[derive(clap::Args)]
@@ -35,6 +37,10 @@ pub struct Args {
     /// Height of the input's zero above the ellipsoid (geoid undulation), metres.
     #[arg(long, value_name = "METRES", allow_hyphen_values = true)]
     height_offset: Option<f64>,
+    /// Let given labels override the classifier: a labelled mesh at the same place, or `input` for the labels or the
+    /// telling material names of the input itself.
+    #[arg(long, value_name = "FILE|input")]
+    labels_from: Option<String>,
     /// Memory to stay within, for instance 2GB or 4GiB; the output does not depend on it. Default: a third of the
     /// machine's.
     #[arg(long, value_name = "BYTES")]
@@ -55,6 +61,16 @@ pub struct Args {
 /// Options that change settings; also those of `demo`.
 #[derive(clap::Args)]
 pub struct Settings {
+    /// A named set of settings, under those of --config, --set and the flags.
+    #[arg(long, value_name = "NAME", value_parser = presets())]
+    preset: Option<String>,
+    /// Metres that classes may deviate at scale 1, for instance roof=0.05,facade=0.05,terrain=0.1,clutter=0.1.
+    #[arg(long, value_name = "CLASS=METRES,…")]
+    budget: Option<String>,
+    /// Strips that hide gaps between tiles of different levels: as deep as the gaps (auto), none (off), or of one depth
+    /// (levels.skirts).
+    #[arg(long, value_name = "auto|off|METRES")]
+    skirts: Option<String>,
     /// Settings from a TOML file.
     #[arg(long, value_name = "FILE")]
     config: Option<PathBuf>,
@@ -78,10 +94,23 @@ pub struct Settings {
     copyright: Option<String>,
 }
 
+/// The help text of a preset is its definition.
+fn presets() -> clap::builder::PossibleValuesParser {
+    PRESETS.map(|p| clap::builder::PossibleValue::new(p.name).help(p.describe())).into()
+}
+
 impl Settings {
-    /// Default, then file, then `--set`, then the flags that name a setting.
+    /// Default, then preset, then file, then `--set`, then the flags that name a setting.
     pub fn layered(&self) -> Result<Config> {
-        let mut config = Config::layered(self.config.as_deref(), &self.set)?;
+        let preset = self.preset.as_deref().and_then(Preset::of);
+        let mut config = Config::layered_on(preset, self.config.as_deref(), &self.set)?;
+        if let Some(budgets) = &self.budget {
+            config.set_budgets(budgets)?;
+        }
+        if let Some(skirts) = &self.skirts {
+            let wanted = || Error::Config(format!("--skirts {skirts}: wanted auto, off, or 0 to 1000 metres"));
+            config.levels.skirts = Skirts::parse(skirts).ok_or_else(wanted)?;
+        }
         config.write.compress |= self.compress;
         config.write.primitives_per_class |= self.per_class;
         config.write.normals |= self.normals;
@@ -110,7 +139,10 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     };
     let inputs = digests(&found.files)?;
     let read = InputConfig { allow_outside: args.allow_outside, root: None };
-    let job = Job { out, force: args.force, config: &config, georeference, inputs, labels_are_truth: false };
+    let labels = args.labels_from.as_ref();
+    let labels =
+        labels.map(|from| super::label::label_source(from, &found, args.allow_outside, reporter)).transpose()?;
+    let job = Job { out, force: args.force, config: &config, georeference, inputs, labels_are_truth: false, labels };
     let resources = Resources { memory: memory_asked(args)?, resume: args.resume };
     let report = pipeline::build_from(Feed::Files(found, read), &job, &resources, reporter)?;
     reporter.say(&report.to_string());

@@ -50,8 +50,15 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     stage.finish(format!("{} triangles, {} images", city.truth.len(), city.source.images.len()));
 
     let georeference = Georeference::parse(PLACE)?;
-    let job =
-        Job { out: &args.out, force: true, config: &config, georeference, inputs: Vec::new(), labels_are_truth: true };
+    let job = Job {
+        out: &args.out,
+        force: true,
+        config: &config,
+        georeference,
+        inputs: Vec::new(),
+        labels_are_truth: true,
+        labels: None,
+    };
     let report = pipeline::build(city.source, &job, reporter)?;
     let findings = inspect::check(&args.out)?;
     reporter.say(&report.to_string());

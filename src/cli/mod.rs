@@ -3,10 +3,16 @@
 //! Data goes to standard output, people's text to standard error; `--json` prints one object. Exit codes are those of
 //! [`Error::exit_code`], and 1 for findings.
 
+mod audit;
 mod build;
+mod compare;
 mod demo;
+mod experiment;
 mod inspect;
+mod label;
+mod replay;
 mod serve;
+mod simplify;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -46,10 +52,22 @@ enum Verb {
     Demo(demo::Args),
     /// Turn OBJ, glTF or PLY into a 3D Tiles 1.1 tileset.
     Build(Box<build::Args>),
+    /// Say which faces are terrain, facade, roof or clutter, and why; compare with labels, draw figures, tune.
+    Label(Box<label::Args>),
+    /// Simplify a mesh by collapsing edges within the budgets of its classes, and record how.
+    Simplify(Box<simplify::Args>),
+    /// Take a mesh of any size or error out of a record.
+    Replay(replay::Args),
     /// Serve a tileset and a page that shows it in CesiumJS.
     Serve(serve::Args),
     /// Say in numbers what is in an input or a tileset, and what is wrong with a tileset.
     Inspect(inspect::Args),
+    /// Measure the errors of anybody's tileset, and say what is wrong with it.
+    Audit(Box<audit::Args>),
+    /// Measure how far simplified meshes are from their original, in all and per class.
+    Compare(compare::Args),
+    /// Repeat the paper's experiment on a mesh: methods at equal sizes and at equal accuracy, as numbers and figures.
+    Experiment(experiment::Args),
 }
 
 /// Whether a verb found something to complain of.
@@ -93,8 +111,14 @@ fn dispatch(cli: Cli) -> Result<Outcome> {
     match cli.verb {
         Verb::Demo(args) => demo::run(&args, json, &reporter),
         Verb::Build(args) => build::run(&args, json, &reporter),
+        Verb::Label(args) => label::run(&args, json, &reporter),
+        Verb::Simplify(args) => simplify::run(&args, json, &reporter),
+        Verb::Replay(args) => replay::run(&args, json, &reporter),
         Verb::Serve(args) => serve::run(&args, &reporter),
         Verb::Inspect(args) => inspect::run(&args, json, &reporter),
+        Verb::Audit(args) => audit::run(&args, json, &reporter),
+        Verb::Compare(args) => compare::run(&args, json, &reporter),
+        Verb::Experiment(args) => experiment::run(&args, json, &reporter),
     }
 }
 

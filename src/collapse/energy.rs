@@ -1,6 +1,6 @@
 //! The energy of a collapse: area-weighted, budget-weighted squared distance to the planes of current faces.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
 /// A quadratic form Σ w·(n·x + d)² in f64, about the block's own origin.
 ///
@@ -17,6 +17,37 @@ pub struct Quadric {
     zz: f64,
     b: DVec3,
     c: f64,
+}
+
+/// Unit normal and area of a current face, in 16 bytes; its plane goes through its first corner.
+///
+/// What goes into a vertex's quadric has to come out again when the face changes, to the bit. So both are computed from
+/// this, never from the corners.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Facet {
+    /// Unit, zero where the area is.
+    pub normal: Vec3,
+    /// Square metres.
+    pub area: f32,
+}
+
+impl Facet {
+    /// Of a triangle.
+    pub fn of([a, b, c]: [DVec3; 3]) -> Self {
+        let cross = (b - a).cross(c - a);
+        let length = cross.length();
+        if length > 0.0 {
+            Self { normal: (cross / length).as_vec3(), area: (0.5 * length) as f32 }
+        } else {
+            Self::default()
+        }
+    }
+
+    /// Its plane's form with weight area · `omega`, when `corner` is its first corner.
+    pub fn quadric(&self, corner: DVec3, omega: f64) -> Quadric {
+        let n = self.normal.as_dvec3();
+        Quadric::of_plane(n, -n.dot(corner), f64::from(self.area) * omega)
+    }
 }
 
 /// Pulls the solution to the edge's middle where the planes leave it free, relative to the form's trace.
@@ -67,6 +98,19 @@ impl Quadric {
             (m[k][k], r[k]) = (lambda, 0.0);
         }
         start + solve(m, r)
+    }
+}
+
+impl std::ops::SubAssign for Quadric {
+    fn sub_assign(&mut self, o: Self) {
+        self.xx -= o.xx;
+        self.xy -= o.xy;
+        self.xz -= o.xz;
+        self.yy -= o.yy;
+        self.yz -= o.yz;
+        self.zz -= o.zz;
+        self.b -= o.b;
+        self.c -= o.c;
     }
 }
 

@@ -3,7 +3,8 @@
 //! Exact order buys nothing: it matched a binary heap in measured error at 2.3 times its speed, because the newest
 //! edge of a bucket is the one whose star is still in the cache.
 
-/// A candidate edge with the versions of its ends when it was ranked.
+/// A candidate edge, or gap between border vertices, with the versions of its ends when it was ranked. 16 bytes: the
+/// queue is the largest thing a collapse needs beside the mesh.
 #[derive(Debug, Clone, Copy)]
 pub struct Candidate {
     /// One end.
@@ -14,8 +15,6 @@ pub struct Candidate {
     pub stamp: u32,
     /// The energy it was filed under.
     pub energy: f32,
-    /// Not an edge: two vertices of open borders that lie close together.
-    pub gap: bool,
 }
 
 const BUCKETS: usize = 8192;
@@ -62,7 +61,7 @@ mod tests {
         let mut queue = Queue::new();
         for i in 0..1000u32 {
             let energy = ((i * 7919) % 1000) as f32 * 1e-5;
-            queue.push(Candidate { u: i, v: i, stamp: 0, energy, gap: false });
+            queue.push(Candidate { u: i, v: i, stamp: 0, energy });
         }
         let mut last = 0f32;
         let mut count = 0;

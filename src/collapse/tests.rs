@@ -231,3 +231,154 @@ fn cracked_borders_grow_together() {
     let cut = run(&mesh, &classes, 10_000, &[0.5, 1.0, 2.0]).cut();
     assert_eq!(open(&cut), 0);
 }
+
+fn faces_at(mesh: &Mesh, classes: &Classes, method: Method, faces: usize) -> Simplified {
+    let config = SimplifyConfig { method, target: Target::Faces(faces), record: true, ..SimplifyConfig::default() };
+    simplify(mesh, classes, &config)
+}
+
+/// Mean and largest distance of the mesh's vertices from the cut.
+fn distances(mesh: &Mesh, cut: &Simplified) -> (f64, f64) {
+    let bvh = Bvh::new(&cut.positions, &cut.faces);
+    let far: Vec<f64> =
+        mesh.positions.iter().map(|p| bvh.closest(*p, f64::INFINITY).map_or(f64::INFINITY, |h| h.distance)).collect();
+    (far.iter().sum::<f64>() / far.len() as f64, far.iter().copied().fold(0.0, f64::max))
+}
+
+fn edge_uses(faces: &[[u32; 3]]) -> Vec<usize> {
+    let mut edges: Vec<(u32, u32)> =
+        faces.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]).map(|(u, v)| (u.min(v), u.max(v))).collect();
+    edges.sort_unstable();
+    edges.chunk_by(|a, b| a == b).map(<[_]>::len).collect()
+}
+
+#[test]
+fn every_method_reaches_the_faces_it_was_asked_for() {
+    let mesh = terrain(30);
+    let classes = one_class(&mesh);
+    for method in
+        [Method::Semantic, Method::Memoryless, Method::HalfEdge, Method::Plain, Method::LindstromTurk, Method::Paper]
+    {
+        let cut = faces_at(&mesh, &classes, method, 300);
+        assert!((299..=300).contains(&cut.faces.len()), "{method:?}: {} faces", cut.faces.len());
+        assert_eq!((cut.face_ids.len(), cut.labels.len()), (cut.faces.len(), cut.faces.len()));
+        assert!(cut.faces.iter().flatten().all(|&v| (v as usize) < cut.positions.len()));
+        let far = distances(&mesh, &cut).1;
+        assert!(far < 2.6, "{method:?}: {far} m");
+    }
+}
+
+#[test]
+fn the_scale_bounds_every_vertex() {
+    let mesh = terrain(30);
+    let classes = one_class(&mesh);
+    for t in [1.0, 4.0] {
+        let config = SimplifyConfig { target: Target::Scale(t), ..SimplifyConfig::default() };
+        let cut = simplify(&mesh, &classes, &config);
+        assert!(cut.scale <= t && cut.faces.len() < mesh.faces.len(), "{} faces at {t}", cut.faces.len());
+        let far = distances(&mesh, &cut).1;
+        assert!(far <= cut.scale * 0.10 + 1e-6, "{far} m at scale {}", cut.scale);
+    }
+}
+
+#[test]
+fn the_refit_brings_the_cut_nearer() {
+    let mesh = terrain(40);
+    let classes = one_class(&mesh);
+    let mean = |refit| {
+        let target = Target::Faces(400);
+        let cut = simplify(&mesh, &classes, &SimplifyConfig { target, refit, ..SimplifyConfig::default() });
+        distances(&mesh, &cut).0
+    };
+    let (before, after) = (mean(false), mean(true));
+    assert!(after < 0.95 * before, "{before} to {after} m");
+}
+
+#[test]
+fn no_edge_gets_a_third_face() {
+    // Two sheets 5 cm apart, joined by tunnels, which cannot close without an edge of four faces.
+    let mut mesh = terrain(24);
+    mesh.positions.iter_mut().for_each(|p| p.z = 0.0);
+    let count = mesh.positions.len() as u32;
+    let hole = |f: usize| (f / 2) % 5 == 2 && (f / 48) % 5 == 2;
+    let top: Vec<[u32; 3]> = mesh.faces.iter().enumerate().filter(|(f, _)| !hole(*f)).map(|(_, t)| *t).collect();
+    let low = mesh.positions.iter().map(|p| on_grid(*p - DVec3::Z * 0.05)).collect::<Vec<_>>();
+    mesh.positions.extend(low);
+    mesh.faces = top.iter().copied().chain(top.iter().map(|[a, b, c]| [a + count, c + count, b + count])).collect();
+    let uses = |faces: &[[u32; 3]], u: u32, v: u32| faces.iter().filter(|f| f.contains(&u) && f.contains(&v)).count();
+    for [a, b, c] in &top {
+        for (u, v) in [(*a, *b), (*b, *c), (*c, *a)] {
+            if uses(&top, u, v) == 1 {
+                mesh.faces.extend([[v, u, u + count], [v, u + count, v + count]]);
+            }
+        }
+    }
+    mesh.face_material = vec![0; mesh.faces.len()];
+    assert!(edge_uses(&mesh.faces).into_iter().all(|n| n == 2), "the model is closed");
+    let classes = one_class(&mesh);
+    let cut = faces_at(&mesh, &classes, Method::Semantic, 60);
+    assert!(cut.faces.len() < mesh.faces.len() / 4, "{} of {} faces", cut.faces.len(), mesh.faces.len());
+    assert!(edge_uses(&cut.faces).into_iter().all(|n| n <= 2));
+}
+
+#[test]
+fn a_closed_piece_on_a_vertex_folds_away() {
+    let mut mesh = terrain(16);
+    let ground = mesh.faces.len();
+    let (u, first) = (5 * 17 + 5, mesh.positions.len() as u32);
+    let foot = mesh.positions[u as usize];
+    for offset in [DVec3::new(0.1, 0.0, 0.2), DVec3::new(0.0, 0.1, 0.2), DVec3::new(0.1, 0.1, 0.1)] {
+        mesh.positions.push(on_grid(foot + offset));
+    }
+    let [v, a, b] = [first, first + 1, first + 2];
+    mesh.faces.extend([[u, v, a], [v, u, b], [u, a, b], [v, b, a]]);
+    mesh.face_material = vec![0; mesh.faces.len()];
+    let classes = one_class(&mesh);
+    for method in [Method::Semantic, Method::Memoryless] {
+        let cut = faces_at(&mesh, &classes, method, 60);
+        assert!(cut.face_ids.iter().all(|&f| (f as usize) < ground), "{method:?}: the tetrahedron is still there");
+    }
+}
+
+#[test]
+fn a_sequence_replays_to_every_cut() {
+    let mesh = terrain(20);
+    let classes = one_class(&mesh);
+    let config = |faces| SimplifyConfig {
+        target: Target::Faces(faces),
+        record: true,
+        refit: false,
+        ..SimplifyConfig::default()
+    };
+    let all = simplify(&mesh, &classes, &config(20)).sequence.unwrap();
+    for faces in [600, 300, 100, 20] {
+        let cut = simplify(&mesh, &classes, &config(faces));
+        let events = cut.sequence.as_ref().unwrap().events.len();
+        assert_eq!(all.events[..events], cut.sequence.as_ref().unwrap().events[..], "a cut is a prefix");
+        let mut log = CollapseLog { folded: all.folded.clone(), ..CollapseLog::default() };
+        log.events = all
+            .events
+            .iter()
+            .map(|e| Collapse { kept: e.kept, gone: e.gone, position: e.position, energy: e.energy, share: 0.0 })
+            .collect();
+        let source = Mesh { positions: all.positions.clone(), faces: all.faces.clone(), ..Mesh::default() };
+        let (positions, replayed) = log.replay(&source, events);
+        let place = |v: &u32| positions[*v as usize];
+        let live: Vec<[DVec3; 3]> = cut.faces.iter().map(|f| f.map(|v| cut.positions[v as usize])).collect();
+        assert_eq!(replayed.iter().map(|(_, f)| f.each_ref().map(place)).collect::<Vec<_>>(), live);
+    }
+}
+
+#[test]
+fn half_edges_keep_source_vertices() {
+    let mesh = terrain(20);
+    let classes = one_class(&mesh);
+    let cut = faces_at(&mesh, &classes, Method::HalfEdge, 100);
+    assert!(cut.positions.iter().all(|p| mesh.positions.contains(p)));
+}
+
+#[test]
+fn an_empty_mesh_stays_empty() {
+    let mesh = Mesh::default();
+    assert!(simplify(&mesh, &one_class(&mesh), &SimplifyConfig::default()).faces.is_empty());
+}

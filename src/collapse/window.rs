@@ -20,10 +20,11 @@ use std::collections::HashMap;
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
-use super::block::{BORDER, Block, LOCKED};
-use super::{NONE, border_of, mark_walls, split_faces};
+use super::block::{BORDER, Block, Energy, LOCKED, Limit, Rules, Sample as Tracked};
+use super::{NONE, SMALL_LOOP_REACHES, border_of, mark_walls, split_faces};
 use crate::geo::Rect;
 use crate::ids::ClassId;
+use crate::mesh::GRID_PER_M;
 
 /// The current surface of one cell. Positions are local metres; vertices are told apart by their position.
 #[derive(Debug, Clone, Default)]
@@ -54,6 +55,10 @@ pub struct Sample {
     pub omega: f32,
     /// Samples it stands for are no further from it than this, metres.
     pub reach_m: f32,
+    /// Area of the source it stands for, m².
+    pub area_m2: f32,
+    /// Squared distance to the surface, m².
+    pub squared_m2: f32,
     /// Class of the face it came from.
     pub class: u32,
 }
@@ -87,7 +92,15 @@ impl Patch {
         omega: Vec<f32>,
         budgets_m: &[f64],
     ) -> Self {
-        let blank = Sample { at: [0.0; 3], budget_m: f32::INFINITY, omega: 0.0, reach_m: 0.0, class: 0 };
+        let blank = Sample {
+            at: [0.0; 3],
+            budget_m: f32::INFINITY,
+            omega: 0.0,
+            reach_m: 0.0,
+            area_m2: 0.0,
+            squared_m2: 0.0,
+            class: 0,
+        };
         let mut samples: Vec<Sample> = positions.iter().map(|p| Sample { at: p.to_array(), ..blank }).collect();
         let mut rides = vec![NONE; positions.len()];
         let mut largest = vec![-1f32; positions.len()];
@@ -97,6 +110,7 @@ impl Patch {
             for v in face.map(|v| v as usize) {
                 let sample = &mut samples[v];
                 sample.budget_m = sample.budget_m.min(budgets_m[labels[f].index()] as f32);
+                sample.area_m2 += area / 6.0;
                 if area > largest[v] {
                     largest[v] = area;
                     (sample.omega, sample.class) = (omega[f], labels[f].index() as u32);
@@ -151,8 +165,10 @@ impl Patch {
                 d(**a).total_cmp(&d(**b)).then(a.cmp(b))
             };
             let Some(&kept) = group.iter().min_by(nearest) else { continue };
+            let area_m2 = group.iter().map(|&s| self.samples[s as usize].area_m2).sum();
             let reach = |&s: &u32| (at(s) - at(kept)).length() + f64::from(self.samples[s as usize].reach_m);
             let reach = group.iter().map(reach).fold(0.0, f64::max);
+            self.samples[kept as usize].area_m2 = area_m2;
             // Rounded up: a reach that is too short would break the promise.
             self.samples[kept as usize].reach_m = (reach as f32).next_up();
             if reach == 0.0 {
@@ -220,11 +236,11 @@ pub fn step(
     (window.into_patches(), collapses)
 }
 
-/// What a block hands back, in the window's ids (`rides`: sample, index into the block's faces).
+/// What a block hands back, in the window's ids (`rides`: sample, index into the block's faces and squared distance).
 struct Done {
     faces: Vec<[u32; 3]>,
     positions: Vec<(u32, DVec3)>,
-    rides: Vec<(u32, u32)>,
+    rides: Vec<(u32, (u32, f32))>,
     collapses: usize,
 }
 
@@ -332,29 +348,50 @@ impl<'a> Window<'a> {
             sample_ids.extend_from_slice(&list[start[f as usize] as usize..start[f as usize + 1] as usize]);
             rides.resize(sample_ids.len(), i as u32);
         }
-        let sample = |s: &u32| &surface.samples[*s as usize];
-        let limit = |s: &Sample| settings.scale * f64::from(s.budget_m) - f64::from(s.reach_m);
+        // Those it stands for have to be within the limit too.
+        let tracked = |(&s, face): (&u32, u32)| {
+            let s = &surface.samples[s as usize];
+            let spent_m = f64::from(s.reach_m) / settings.scale;
+            let left_m = (f64::from(s.budget_m) - spent_m) as f32;
+            Tracked {
+                point: DVec3::from_array(s.at) - origin,
+                weight: s.area_m2 * s.omega,
+                budget_m: if s.reach_m > 0.0 { left_m.next_down().max(0.0) } else { s.budget_m },
+                squared_m2: s.squared_m2,
+                face,
+                class: s.class as u8,
+            }
+        };
+        let reach_m = settings.scale * settings.strictest_m;
         let block = Block {
             origin,
             positions,
             flags,
             faces: faces_local,
             omega: faces.iter().map(|&f| surface.omega[f as usize]).collect(),
+            paper_weight: Vec::new(),
             group,
-            scale: settings.scale,
-            reach_m: settings.scale * settings.strictest_m,
             boxes: &boxes,
-            samples: sample_ids.iter().map(|s| DVec3::from_array(sample(s).at) - origin).collect(),
-            limits: sample_ids.iter().map(|s| limit(sample(s))).collect(),
-            rides,
+            samples: sample_ids.iter().zip(rides).map(tracked).collect(),
+            rules: Rules {
+                energy: Energy::Memoryless,
+                half_edge: false,
+                limit: Limit::Scale(settings.scale),
+                gap_reach_m: reach_m,
+                loop_reach_m: SMALL_LOOP_REACHES * reach_m,
+                grid_m: 1.0 / GRID_PER_M,
+                stop_faces: 0,
+                recorded: false,
+            },
             vertex_ids,
         };
-        let (block, events) = block.collapse();
+        let done = block.collapse();
+        let (block, events) = (done.block, done.log);
         let global = |v: u32| if v == NONE { NONE } else { block.vertex_ids[v as usize] };
         Done {
             faces: block.faces.iter().map(|f| f.map(global)).collect(),
             positions: events.iter().map(|e| (e.kept, e.position)).collect(),
-            rides: sample_ids.into_iter().zip(block.rides).collect(),
+            rides: sample_ids.into_iter().zip(block.samples.iter().map(|s| (s.face, s.squared_m2))).collect(),
             collapses: events.len(),
         }
     }
@@ -363,8 +400,9 @@ impl<'a> Window<'a> {
         for (&f, corners) in faces.iter().zip(&done.faces) {
             self.surface.faces[f as usize] = *corners;
         }
-        for (s, i) in done.rides {
+        for (s, (i, squared_m2)) in done.rides {
             self.surface.rides[s as usize] = faces[i as usize];
+            self.surface.samples[s as usize].squared_m2 = squared_m2;
         }
         for (v, position) in done.positions {
             self.surface.positions[v as usize] = position;

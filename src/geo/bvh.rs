@@ -110,6 +110,66 @@ impl Bvh {
         (best.face != u32::MAX).then(|| Hit { distance: best_squared.sqrt(), ..best })
     }
 
+    /// The closest point to `p`, begun from a face that is thought near; `None` without faces or for an unknown one.
+    ///
+    /// Any `face` gives the same distance; a near one gives it sooner.
+    pub fn closest_from(&self, p: DVec3, face: u32, corners: &[DVec3; 3]) -> Option<Hit> {
+        let point = closest_on_triangle(p, corners);
+        let distance = (point - p).length();
+        if self.nodes.is_empty() || !distance.is_finite() {
+            return None;
+        }
+        Some(self.closest(p, distance).filter(|hit| hit.distance < distance).unwrap_or(Hit { face, point, distance }))
+    }
+
+    /// Per node the union of `mask_of` over the faces below it, for [`Bvh::mask_within`].
+    pub fn masks(&self, mask_of: impl Fn(u32) -> u32) -> Vec<u32> {
+        let mut masks = vec![0; self.nodes.len()];
+        // Children come after their parent.
+        for (at, node) in self.nodes.iter().enumerate().rev() {
+            masks[at] = if node.count > 0 {
+                let faces = &self.faces[node.at as usize..(node.at + node.count) as usize];
+                faces.iter().fold(0, |mask, &f| mask | mask_of(f))
+            } else {
+                masks[at + 1] | masks[node.at as usize]
+            };
+        }
+        masks
+    }
+
+    /// The union of `mask_of` over the faces within `radius` metres of `p`, looked for among the bits of `wanted` only;
+    /// `masks` are of [`Bvh::masks`].
+    pub fn mask_within(&self, masks: &[u32], mask_of: impl Fn(u32) -> u32, p: DVec3, radius: f64, wanted: u32) -> u32 {
+        if self.nodes.is_empty() {
+            return 0;
+        }
+        let q = (p - self.center).as_vec3();
+        let (mut found, limit) = (0, radius * radius);
+        let mut stack = [0u32; 128];
+        let mut top = 1;
+        while top > 0 {
+            top -= 1;
+            let at = stack[top];
+            let node = &self.nodes[at as usize];
+            let new = masks[at as usize] & wanted & !found;
+            if new == 0 || f64::from(node.distance_squared(q)) > limit {
+                continue;
+            }
+            if node.count > 0 {
+                for i in node.at as usize..(node.at + node.count) as usize {
+                    let new = mask_of(self.faces[i]) & wanted & !found;
+                    if new != 0 && (closest_on_triangle(p, &self.triangles[i]) - p).length_squared() <= limit {
+                        found |= new;
+                    }
+                }
+            } else {
+                (stack[top], stack[top + 1]) = (node.at, at + 1);
+                top += 2;
+            }
+        }
+        found
+    }
+
     /// Calls `visit` for every face whose box touches the box `min..max`, in the tree's order.
     pub fn overlapping(&self, min: DVec3, max: DVec3, visit: &mut dyn FnMut(u32)) {
         if self.nodes.is_empty() {
@@ -318,6 +378,38 @@ mod tests {
                 .fold(f64::INFINITY, f64::min);
             let hit = bvh.closest(q, f64::INFINITY).unwrap();
             assert!((hit.distance - brute).abs() < 1e-12, "{} {brute}", hit.distance);
+        }
+    }
+
+    #[test]
+    fn a_start_face_changes_how_fast_the_closest_point_is_found_and_not_where() {
+        let (positions, faces) = soup(300);
+        let bvh = Bvh::new(&positions, &faces);
+        for i in 0..200 {
+            let q = DVec3::new(noise(i * 5), noise(i * 5 + 1), noise(i * 5 + 2)) * 110.0 + DVec3::splat(5e5 - 5.0);
+            let start = (i * 7 % 300) as u32;
+            let corners = faces[start as usize].map(|v| positions[v as usize]);
+            let hit = bvh.closest_from(q, start, &corners).unwrap();
+            assert_eq!(hit.distance, bvh.closest(q, f64::INFINITY).unwrap().distance);
+        }
+    }
+
+    #[test]
+    fn the_mask_of_a_ball_is_that_of_the_faces_in_it() {
+        let (positions, faces) = soup(500);
+        let bvh = Bvh::new(&positions, &faces);
+        let bit = |f: u32| 1 << (f % 7);
+        let masks = bvh.masks(bit);
+        for i in 0..100 {
+            let q = DVec3::new(noise(i * 5), noise(i * 5 + 1), noise(i * 5 + 2)) * 110.0 + DVec3::splat(5e5 - 5.0);
+            let radius = 12.0 * noise(i + 50_000);
+            let near = |f: &u32| {
+                let corners = faces[*f as usize].map(|v| positions[v as usize]);
+                (closest_on_triangle(q, &corners) - q).length() <= radius
+            };
+            let truth = (0..500).filter(near).fold(0, |mask, f| mask | bit(f));
+            assert_eq!(bvh.mask_within(&masks, bit, q, radius, u32::MAX), truth);
+            assert_eq!(bvh.mask_within(&masks, bit, q, radius, 1), truth & 1);
         }
     }
 

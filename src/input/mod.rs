@@ -17,6 +17,8 @@ use crate::{Error, Result};
 pub mod discover;
 pub mod georeference;
 pub mod gltf;
+pub mod label_names;
+pub mod labels;
 mod lines;
 mod mtl;
 pub mod obj;

@@ -72,6 +72,8 @@ pub(super) struct Features {
     pub count: u32,
     /// Name of the enum value of each row; empty without a property table with an enum.
     pub class_names: Vec<String>,
+    /// Rows that are skirts, which are no part of the surface; empty: none are.
+    pub skirts: Vec<bool>,
 }
 
 /// Takes a GLB apart.
@@ -317,11 +319,11 @@ impl Glb {
         if let Some(id) = ids.iter().find(|&&id| id >= set.feature_count) {
             return Err(Broken { code: "feature-range", what: format!("feature id {id} of {}", set.feature_count) });
         }
-        let class_names = match set.property_table {
-            Some(table) => self.class_names(table, set.feature_count)?,
-            None => Vec::new(),
+        let (class_names, skirts) = match set.property_table {
+            Some(table) => (self.class_names(table, set.feature_count)?, self.skirts(table)),
+            None => (Vec::new(), Vec::new()),
         };
-        Ok((Some(Features { count: set.feature_count, class_names }), ids))
+        Ok((Some(Features { count: set.feature_count, class_names, skirts }), ids))
     }
 
     /// Names of the first enum property of a table, by row. Enums of one byte only.
@@ -357,6 +359,14 @@ impl Glb {
             Some(names) => Ok(names),
             None => broken(format!("property {id} has a value that its enum lacks")),
         }
+    }
+
+    /// Which rows of a table are skirts, by this program's own property; none where it is missing.
+    fn skirts(&self, index: u32) -> Vec<bool> {
+        let metadata = self.gltf.extensions.as_ref().and_then(|e| e.structural_metadata.as_ref());
+        let column = metadata.and_then(|m| m.property_tables.get(index as usize)?.properties.get("skirt"));
+        let values = column.and_then(|c| self.view(c.values).ok());
+        values.map(|v| v.iter().map(|&b| b == 1).collect()).unwrap_or_default()
     }
 
     fn step_m(&self, position: u32, tile_from_node: DMat4) -> f64 {

@@ -61,8 +61,10 @@ pub struct LevelSummary {
     pub depth: usize,
     /// Number of tiles.
     pub tiles: u64,
-    /// Triangles of all of them.
+    /// Triangles of all of them, without skirts.
     pub triangles: u64,
+    /// Triangles of skirts, which hide gaps and are no part of the surface.
+    pub skirt_triangles: u64,
     /// Draw calls of all of them.
     pub draw_calls: u64,
     /// Bytes of all contents.
@@ -96,6 +98,7 @@ pub struct ClassShare {
 #[derive(Default)]
 struct Measured {
     triangles: u64,
+    skirt_triangles: u64,
     draw_calls: u64,
     bytes: u64,
     /// Triangles and area by class name.
@@ -165,9 +168,17 @@ fn measure_content(folder: &Path, uri: &str, leaf: bool, measured: &mut Measured
     for list in lists {
         measured.draw_calls += 1;
         measured.triangles += list.faces.len() as u64;
-        let Some(features) = list.features.filter(|_| leaf) else { continue };
+        let Some(features) = list.features else { continue };
         for face in &list.faces {
             let id = list.feature_ids[face[0] as usize] as usize;
+            if features.skirts.get(id) == Some(&true) {
+                measured.triangles -= 1;
+                measured.skirt_triangles += 1;
+                continue;
+            }
+            if !leaf {
+                continue;
+            }
             let Some(name) = features.class_names.get(id) else { continue };
             let [a, b, c] = face.map(|v| list.positions[v as usize]);
             let area_m2 = (b - a).cross(c - a).length() * 0.5;
@@ -197,6 +208,7 @@ impl LevelSummary {
             depth,
             tiles: 0,
             triangles: 0,
+            skirt_triangles: 0,
             draw_calls: 0,
             bytes: 0,
             min_error_m: f64::INFINITY,
@@ -209,6 +221,7 @@ impl LevelSummary {
     fn add(&mut self, placed: &Placed<'_>, measured: &Measured) {
         self.tiles += 1;
         self.triangles += measured.triangles;
+        self.skirt_triangles += measured.skirt_triangles;
         self.draw_calls += measured.draw_calls;
         self.bytes += measured.bytes;
         self.min_error_m = self.min_error_m.min(placed.tile.geometric_error);
@@ -266,13 +279,17 @@ impl fmt::Display for TilesetSummary {
             mega(self.bytes),
             self.geometric_error_m
         )?;
-        writeln!(f, "\ndepth  tiles  triangles  draws        MB  geometricError m       texel m")?;
+        writeln!(f, "\ndepth  tiles  triangles   skirts  draws        MB  geometricError m       texel m")?;
         for l in &self.levels {
             let range = |min: f64, max: f64| format!("{min:.3}–{max:.3}");
             let texel = l.min_texel_m.zip(l.max_texel_m).map_or("–".into(), |(min, max)| range(min, max));
             let (errors, mb) = (range(l.min_error_m, l.max_error_m), mega(l.bytes));
-            let (depth, tiles, triangles, draws) = (l.depth, l.tiles, l.triangles, l.draw_calls);
-            writeln!(f, "{depth:5}  {tiles:5}  {triangles:9}  {draws:5}  {mb:8.2}  {errors:>16}  {texel:>12}")?;
+            let (depth, tiles, triangles, skirts, draws) =
+                (l.depth, l.tiles, l.triangles, l.skirt_triangles, l.draw_calls);
+            writeln!(
+                f,
+                "{depth:5}  {tiles:5}  {triangles:9}  {skirts:7}  {draws:5}  {mb:8.2}  {errors:>16}  {texel:>12}"
+            )?;
         }
         if !self.classes.is_empty() {
             writeln!(f, "\nclass (leaves)  triangles           area m²")?;

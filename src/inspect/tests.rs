@@ -58,8 +58,17 @@ fn entry(uri: &str, content: &TileContent, level: u32, error_m: f64, children: V
     let below = children.iter().flat_map(|c: &TileEntry| [c.box_local.min, c.box_local.max]);
     let points: Vec<DVec3> = own.chain(below).collect();
     let (budget_m, bound_m) = (error_m, error_m);
-    let class =
-        |class| ClassError { class, budget_m, bound_m, mean_m: 0.1, rms_m: 0.2, p95_m: 0.3, p99_m: 0.4, inside_m: 0.0 };
+    let class = |class| ClassError {
+        class,
+        budget_m,
+        bound_m,
+        mean_m: 0.1,
+        rms_m: 0.2,
+        p95_m: 0.3,
+        p99_m: 0.4,
+        inside_m: 0.0,
+        sunk_m: 0.0,
+    };
     TileEntry {
         uri: uri.into(),
         box_local: Aabb {
@@ -69,6 +78,10 @@ fn entry(uri: &str, content: &TileContent, level: u32, error_m: f64, children: V
         geometric_error_m: error_m,
         geometry_m: error_m,
         texel_m: 0.05,
+        scale: 1.0,
+        wall_m: 0.0,
+        skirt_m: 0.0,
+        skirt_triangles: 0,
         triangles: content.faces.len() as u64,
         bytes: 0,
         classes: vec![class(ClassId::TERRAIN), class(ClassId::ROOF)],

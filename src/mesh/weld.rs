@@ -8,6 +8,10 @@
 //!    positions that survive are positions of the source.
 //! 3. Faces are renumbered; those with a repeated vertex, without area, or with the vertices of an earlier face go.
 //!
+//! The paper's preprocessing (§2.1) in our stages: *triangulation* is the readers' (`input::triangulate`), *removal of
+//! duplicate geometric structures* (equal and near-equal points, repeated faces) is this file, and *centroid
+//! normalisation* is the frame's (`geo::frame`: the middle of the surface becomes the origin, in f64 throughout).
+//!
 //! # Promises
 //! No position moves by more than the tolerance times the longest chain of joins; seams stay apart because texture
 //! coordinates sit on corners, not on vertices. Same result for any number of threads.

@@ -21,15 +21,15 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::{Job, MOST_EXTENT_M, Resources, cracks};
+use super::front::{gate_line, refuse_extent, surface_bounds};
+use super::{Job, Resources, cracks};
 use crate::geo::{Aabb, Frame, Rect};
 use crate::input::discover::Found;
 use crate::input::{self, ImageRef, InputConfig, Material, Part, Source};
 use crate::mesh::{self, GateReport, Mesh};
 use crate::report::Reporter;
 use crate::store::{PageReader, Store};
-use crate::texture::Images;
-use crate::tiles::content::texels_of;
+use crate::texture::{Images, texels_of};
 use crate::tiles::partition::SNAP_M;
 use crate::tiles::soup::bits;
 use crate::tiles::{Census, Quadtree, Soup};
@@ -199,7 +199,7 @@ impl<'a> Scan<'a> {
             for part in &mut parts {
                 frame.locals_from_sources(&part.path, &mut part.positions)?;
             }
-            self.refuse_extent(&surface_bounds(&parts).union(bounds))?;
+            refuse_extent(&self.name, &self.bounds, &surface_bounds(&parts).union(bounds))?;
             let source = Source { parts, ..Source::default() };
             let (mesh, report) = mesh::gate_unit(source, &job.config.gate, reporter)?;
             bounds = bounds.union(Aabb::of(mesh.positions.iter().copied()));
@@ -210,26 +210,8 @@ impl<'a> Scan<'a> {
         if gate.faces == 0 {
             gate.say(&self.name, reporter)?;
         }
-        let GateReport { vertices_in, vertices, faces_in, faces, degenerate, duplicate, not_finite, moved_m, .. } =
-            gate;
-        stage.finish(format!(
-            "{vertices_in} → {vertices} vertices, {faces_in} → {faces} triangles ({degenerate} degenerate, {duplicate} duplicate, {not_finite} not finite), moved by up to {:.1} mm", 1e3 * moved_m
-        ));
+        stage.finish(gate_line(&gate));
         self.cut(units, bounds, gate, job, resources, reporter)
-    }
-
-    fn refuse_extent(&self, local: &Aabb) -> Result<()> {
-        if local.size().max_element() <= MOST_EXTENT_M {
-            return Ok(());
-        }
-        let what = format!(
-            "the model is {:.1e} m wide, and up to {MOST_EXTENT_M:.0e} m can be placed; look for stray vertices between \
-             {} and {}",
-            local.size().max_element(),
-            self.bounds.min,
-            self.bounds.max
-        );
-        Err(Error::input(&self.name, what))
     }
 
     fn cut(
@@ -309,12 +291,6 @@ impl<'a> Scan<'a> {
             _ => 0.0,
         }
     }
-}
-
-/// Of the surface alone: a stray vertex at (0, 0, 0) must not draw the frame away from its model.
-fn surface_bounds(parts: &[Part]) -> Aabb {
-    let corners = parts.iter().flat_map(|p| p.faces.iter().flatten().map(|&v| p.positions[v as usize]));
-    Aabb::of(corners.filter(|p| p.is_finite()))
 }
 
 fn spill(store: &Store, unit: u32, parts: &[Part]) -> Result<()> {

@@ -17,17 +17,20 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::given::Given;
 use super::ingest::{City, leaf_mesh};
-use super::report::ClassShare;
+use super::report::{ClassShare, no_shares};
 use super::windows::{self, Weighed};
-use crate::classes::{self, Confusion};
+use super::{Job, front};
+use crate::classes::truth::{agreement, mask_of_name, overridden};
+use crate::classes::{self, Classes, Confusion, scheme::BASE};
 use crate::config::Config;
 use crate::ids::ClassId;
 use crate::mesh::Mesh;
 use crate::planes;
 use crate::report::Reporter;
 use crate::store::Store;
-use crate::tiles::Quadtree;
+use crate::texture::Images;
 use crate::tiles::soup::bits;
 use crate::{Error, Result};
 
@@ -50,6 +53,8 @@ struct Finished {
     regions: usize,
     faces: usize,
     median_edge_m: f64,
+    /// Faces that somebody else labelled.
+    given: usize,
 }
 
 /// Classes and weights of a leaf's faces.
@@ -62,13 +67,14 @@ pub(super) fn leaf_labels(store: &Store, cell: u32) -> Result<(Vec<ClassId>, Vec
 }
 
 /// Classifies all leaves that have no labels yet.
-pub(super) fn label(
-    city: &City,
-    config: &Config,
-    labels_are_truth: bool,
-    store: &Store,
-    reporter: &Reporter,
-) -> Result<Labels> {
+///
+/// # Errors
+/// The disk, a wish to stop, or given labels of which none meets the input.
+pub(super) fn label(city: &City, images: &Images, job: &Job, store: &Store, reporter: &Reporter) -> Result<Labels> {
+    let config = job.config;
+    front::warn(config, reporter);
+    let given = job.labels.as_ref().map(|from| Given::of(from, &city.frame, &config.classes)).transpose()?;
+    let labeller = Labeller { city, images, config, given, store, reporter };
     let cells = city.leaves.iter().map(|l| Weighed { cell: l.cell, weight: l.faces as u64 }).collect();
     let windows = windows::split(&city.tree, cells, config.levels.window_faces as u64, false);
     let stage = reporter.stage("classes", windows.len() as u64);
@@ -80,7 +86,7 @@ pub(super) fn label(
         let finished = match known {
             Some(finished) => finished,
             None => {
-                let finished = label_window(city, config, window, store, reporter)?;
+                let finished = labeller.window(window)?;
                 let bytes = serde_json::to_vec(&finished).map_err(|e| Error::Bug(format!("labels: {e}")))?;
                 store.write_file(&name, &bytes)?;
                 finished
@@ -91,76 +97,105 @@ pub(super) fn label(
     }
     let faces: usize = all.iter().map(|w| w.faces).sum();
     let median_edge_m = all.iter().map(|w| w.median_edge_m * w.faces as f64).sum::<f64>() / faces.max(1) as f64;
-    let (shares, accuracy) = tally(city, config, labels_are_truth, store)?;
-    let total: f64 = shares.iter().map(|s| s.area_m2).sum();
-    let parts: Vec<String> = shares.iter().map(|s| format!("{} {:.0} %", s.class, 100.0 * s.area_m2 / total)).collect();
+    if let Some(given) = labeller.given.as_ref().filter(|_| all.iter().all(|w| w.given == 0)) {
+        return Err(given.nothing(&city.materials, &config.classes));
+    }
+    let (shares, accuracy) = tally(city, config, job.labels_are_truth, store)?;
     let regions: usize = all.iter().map(|w| w.regions).sum();
     let count = windows.len();
-    stage
-        .finish(format!("{} in {count} windows, {regions} planes, median edge {median_edge_m:.3} m", parts.join(", ")));
+    let parts = front::share_line(&shares);
+    stage.finish(format!("{parts} in {count} windows, {regions} planes, median edge {median_edge_m:.3} m"));
     Ok(Labels { median_edge_m, shares, accuracy })
 }
 
-fn label_window(
-    city: &City,
-    config: &Config,
-    window: &[Weighed],
-    store: &Store,
-    reporter: &Reporter,
-) -> Result<Finished> {
-    let most = (config.levels.window_faces as f64 * MOST_WITH_HALO) as u64;
-    let halo = windows::halo(&city.tree, &city.leaves, window, HALO_M, most);
-    // In the order of the whole: where planes compete for a face, the order of faces decides.
-    let mut cells: Vec<u32> = window.iter().map(|w| w.cell).chain(halo).collect();
-    cells.sort_unstable();
-    let (mut mesh, starts) = joined(store, &city.tree, &cells)?;
-    align(&mut mesh, city.floor_m);
-    reporter.check()?;
-    let planes = planes::grow(&mesh, &config.planes);
-    reporter.check()?;
-    let classes = classes::label(&mesh, &planes, &config.classes, &config.classify);
-    let budgets: Vec<f64> = config.classes.0.iter().map(|c| c.budget_m).collect();
-    let weight = |f: usize| {
-        let sum = classes.of(f).iter().zip(&budgets).map(|(p, b)| f64::from(*p) / (b * b)).sum::<f64>();
-        sum as f32
-    };
-    for w in window {
-        let i = cells.binary_search(&w.cell).unwrap_or_else(|_| unreachable!("a window holds its own cells"));
-        let range = starts[i]..starts[i + 1];
-        let labels: Vec<u8> = classes.label[range.clone()].iter().map(|l| l.0).collect();
-        let mut page = store.page(&format!("labels/{}", w.cell))?;
-        page.put(&labels)?;
-        page.put(&range.map(weight).collect::<Vec<f32>>())?;
-        page.finish()?;
-    }
-    let faces = window.iter().map(|w| w.weight as usize).sum();
-    Ok(Finished { regions: planes.regions.len(), faces, median_edge_m: planes.median_edge_m })
+/// What windows are classified with.
+struct Labeller<'a> {
+    city: &'a City,
+    images: &'a Images<'a>,
+    config: &'a Config,
+    given: Option<Given<'a>>,
+    store: &'a Store,
+    reporter: &'a Reporter,
 }
 
-/// The surface of several leaves as one mesh, geometry only, and where the faces of each begin.
-fn joined(store: &Store, tree: &Quadtree, cells: &[u32]) -> Result<(Mesh, Vec<usize>)> {
-    let mut all = Mesh::default();
-    let mut ids: std::collections::HashMap<[u64; 3], u32> = Default::default();
-    let mut starts = vec![0];
-    for &cell in cells {
-        let mesh = leaf_mesh(store, cell)?;
-        let plan = &tree.0[cell as usize].plan;
-        // Only vertices on a leaf's rim can stand in two leaves.
-        let on_rim = |p: &DVec3| (0..2).any(|k| p[k] == plan.min[k] || p[k] == plan.max[k]);
-        let mut push = |p: DVec3| {
-            all.positions.push(p);
-            all.positions.len() as u32 - 1
+impl Labeller<'_> {
+    fn window(&self, window: &[Weighed]) -> Result<Finished> {
+        let Self { city, config, store, reporter, .. } = self;
+        let most = (config.levels.window_faces as f64 * MOST_WITH_HALO) as u64;
+        let halo = windows::halo(&city.tree, &city.leaves, window, HALO_M, most);
+        // In the order of the whole: where planes compete for a face, the order of faces decides.
+        let mut cells: Vec<u32> = window.iter().map(|w| w.cell).chain(halo).collect();
+        cells.sort_unstable();
+        let Joined { mut mesh, starts, face_colors } = self.joined(&cells)?;
+        align(&mut mesh, city.floor_m);
+        reporter.check()?;
+        let planes = planes::grow(&mesh, &config.planes);
+        reporter.check()?;
+        let scene = classes::Scene { mesh: &mesh, planes: &planes, face_colors: &face_colors };
+        let mut classes = classes::classify(scene, &config.classes, &config.classify);
+        let mut given = 0;
+        if let Some(labels) = &self.given {
+            let masks = labels.masks(&mesh, planes.median_edge_m, &config.classes);
+            given = masks.iter().filter(|m| **m != 0).count();
+            classes = overridden(classes, &masks);
+        }
+        let budgets: Vec<f64> = config.classes.0.iter().map(|c| c.budget_m).collect();
+        let weight = |f: usize| {
+            let sum = classes.of(f).iter().zip(&budgets).map(|(p, b)| f64::from(*p) / (b * b)).sum::<f64>();
+            sum as f32
         };
-        let new: Vec<u32> = mesh
-            .positions
-            .iter()
-            .map(|p| if on_rim(p) { *ids.entry(bits(*p)).or_insert_with(|| push(*p)) } else { push(*p) })
-            .collect();
-        all.faces.extend(mesh.faces.iter().map(|f| f.map(|v| new[v as usize])));
-        starts.push(all.faces.len());
+        for w in window {
+            let i = cells.binary_search(&w.cell).unwrap_or_else(|_| unreachable!("a window holds its own cells"));
+            let range = starts[i]..starts[i + 1];
+            let labels: Vec<u8> = classes.label[range.clone()].iter().map(|l| l.0).collect();
+            let mut page = store.page(&format!("labels/{}", w.cell))?;
+            page.put(&labels)?;
+            page.put(&range.map(weight).collect::<Vec<f32>>())?;
+            page.finish()?;
+        }
+        let faces = window.iter().map(|w| w.weight as usize).sum();
+        Ok(Finished { regions: planes.regions.len(), faces, median_edge_m: planes.median_edge_m, given })
     }
-    all.face_material = vec![0; all.faces.len()];
-    Ok((all, starts))
+
+    /// The surface of several leaves as one mesh, without its texture.
+    fn joined(&self, cells: &[u32]) -> Result<Joined> {
+        let mut all = Joined::default();
+        let mut ids: std::collections::HashMap<[u64; 3], u32> = Default::default();
+        all.starts.push(0);
+        for &cell in cells {
+            let mut mesh = leaf_mesh(self.store, cell)?;
+            mesh.materials.clone_from(&self.city.materials);
+            all.face_colors.extend(front::colors(&mesh, self.images, self.config));
+            let plan = &self.city.tree.0[cell as usize].plan;
+            // Only vertices on a leaf's rim can stand in two leaves.
+            let on_rim = |p: &DVec3| (0..2).any(|k| p[k] == plan.min[k] || p[k] == plan.max[k]);
+            let mut push = |p: DVec3| {
+                all.mesh.positions.push(p);
+                all.mesh.positions.len() as u32 - 1
+            };
+            let new: Vec<u32> = mesh
+                .positions
+                .iter()
+                .map(|p| if on_rim(p) { *ids.entry(bits(*p)).or_insert_with(|| push(*p)) } else { push(*p) })
+                .collect();
+            all.mesh.faces.extend(mesh.faces.iter().map(|f| f.map(|v| new[v as usize])));
+            all.mesh.face_material.extend(mesh.face_material);
+            all.mesh.face_labels.extend(mesh.face_labels);
+            all.starts.push(all.mesh.faces.len());
+        }
+        all.mesh.materials.clone_from(&self.city.materials);
+        Ok(all)
+    }
+}
+
+/// Several leaves as one.
+#[derive(Default)]
+struct Joined {
+    mesh: Mesh,
+    /// Where the faces of each leaf begin, and the end.
+    starts: Vec<usize>,
+    /// Per face; empty where nobody looks at them.
+    face_colors: Vec<[u8; 3]>,
 }
 
 /// Adds a vertex of no face, so that the ground's grid begins at a whole metre wherever the window lies.
@@ -176,8 +211,9 @@ fn tally(
     labels_are_truth: bool,
     store: &Store,
 ) -> Result<(Vec<ClassShare>, Option<Confusion>)> {
-    let blank = |name: &str| ClassShare { class: name.to_owned(), triangles: 0, area_m2: 0.0 };
-    let mut shares: Vec<ClassShare> = config.classes.0.iter().map(|c| blank(&c.name)).collect();
+    let mut shares = no_shares(&config.classes);
+    let base = BASE.map(|name| mask_of_name(&config.classes, name));
+    let mask_of = |label: &i16| usize::try_from(*label).ok().and_then(|l| base.get(l)).copied().unwrap_or(0);
     let (mut truth, mut found, mut areas) = (Vec::new(), Vec::new(), Vec::new());
     for leaf in &city.leaves {
         let mesh = leaf_mesh(store, leaf.cell)?;
@@ -191,11 +227,12 @@ fn tally(
             }
         }
         if labels_are_truth {
-            truth.extend(mesh.face_labels.iter().map(|l| ClassId((*l).max(0) as u8)));
+            truth.extend(mesh.face_labels.iter().map(mask_of));
             found.extend(labels);
         }
     }
-    let accuracy = labels_are_truth.then(|| classes::confusion(&truth, &found, &areas));
+    let found = Classes { scheme: config.classes.clone(), posterior: Vec::new(), label: found };
+    let accuracy = labels_are_truth.then(|| agreement(&found, &truth, &areas).by_area);
     Ok((shares, accuracy))
 }
 
@@ -210,32 +247,35 @@ mod tests {
     /// Area that has the same class in windows of `window_faces` as in one window, as a share of all.
     fn agreement(window_faces: usize) -> f64 {
         let folder = tempfile::tempdir().unwrap();
-        let sets = ["levels.leaf_faces=4000".to_owned()];
-        let mut config = Config::layered(None, &sets).unwrap();
+        let configured = |window_faces: usize| {
+            let sets = ["levels.leaf_faces=4000".to_owned(), format!("levels.window_faces={window_faces}")];
+            Config::layered(None, &sets).unwrap()
+        };
+        let (uncut, cut) = (configured(usize::MAX >> 1), configured(window_faces));
         let reporter = Reporter::new(true);
         let out = folder.path().join("out");
-        let job = Job {
+        let job = |config| Job {
             out: &out,
             force: false,
-            config: &config,
+            config,
             georeference: Georeference::Local,
             inputs: Vec::new(),
             labels_are_truth: false,
+            labels: None,
         };
         let source = generate(&CityConfig::default()).source;
+        let images = Images::new(source.images.clone(), &reporter);
         let store = Store::open(folder.path().join("work"), "token", false).unwrap();
-        let city = ingest(Feed::Memory(source), &job, &Resources::default(), &store, &reporter).unwrap();
-        let all = |store: &Store| -> Vec<Vec<ClassId>> {
-            city.leaves.iter().map(|l| leaf_labels(store, l.cell).unwrap().0).collect()
+        let city = ingest(Feed::Memory(source), &job(&uncut), &Resources::default(), &store, &reporter).unwrap();
+        let labels = |config| -> Vec<Vec<ClassId>> {
+            store.remove("labels");
+            label(&city, &images, &job(config), &store, &reporter).unwrap();
+            city.leaves.iter().map(|l| leaf_labels(&store, l.cell).unwrap().0).collect()
         };
-        label(&city, &config, false, &store, &reporter).unwrap();
-        let uncut = all(&store);
-        store.remove("labels");
-        config.levels.window_faces = window_faces;
-        label(&city, &config, false, &store, &reporter).unwrap();
+        let (uncut, cut) = (labels(&uncut), labels(&cut));
         assert!(store.has("labels/window-1.json"), "there is one window only");
         let (mut same, mut whole) = (0.0, 0.0);
-        for (leaf, (a, b)) in city.leaves.iter().zip(uncut.iter().zip(all(&store))) {
+        for (leaf, (a, b)) in city.leaves.iter().zip(uncut.iter().zip(&cut)) {
             let mesh = leaf_mesh(&store, leaf.cell).unwrap();
             for f in 0..mesh.faces.len() {
                 let area = mesh.cross(f).length();

@@ -7,7 +7,7 @@ use serde_json::json;
 
 use crate::config::Config;
 use crate::geo::{FrameSummary, Georeference};
-use crate::ids::ClassScheme;
+use crate::ids::ClassId;
 use crate::input::Source;
 use crate::mesh::GateReport;
 use crate::report::Reporter;
@@ -15,19 +15,29 @@ use crate::store::{Store, memory};
 use crate::texture::Images;
 use crate::tiles::Quadtree;
 use crate::tiles::content::ClassDeviation;
+use crate::tiles::skirt::Hem;
 use crate::write::tileset::bytes as tileset_bytes;
 use crate::write::{self, About, ClassError, GENERATOR, Output, TileEntry};
 use crate::{Error, Result};
 
+mod contents;
 mod cracks;
+pub mod figures;
+pub mod front;
+pub mod given;
 mod hierarchy;
 mod ingest;
 mod labels;
 pub mod report;
 mod steps;
+mod tops;
+mod walls;
 mod windows;
 
-use hierarchy::{Hierarchy, Node, content_name};
+use contents::{Contents, Record, content_name};
+pub use front::Front;
+pub use given::LabelSource;
+use hierarchy::Node;
 pub use ingest::Feed;
 pub use report::BuildReport;
 use report::{ClassShare, LevelRow, level_rows};
@@ -46,6 +56,8 @@ pub struct Job<'a> {
     pub inputs: Vec<InputDigest>,
     /// The source's face labels are class ids and true: report how well the classes agree.
     pub labels_are_truth: bool,
+    /// Labels that override the classifier.
+    pub labels: Option<LabelSource>,
 }
 
 /// An input file as it was read.
@@ -121,33 +133,40 @@ fn build_in(
     let config = job.config;
     let city = ingest::ingest(feed, job, resources, store, reporter)?;
     let copyright = credits(&city.copyright, &config.write.copyright);
-    let labels = labels::label(&city, config, job.labels_are_truth, store, reporter)?;
     // What is said of images must not depend on what is cached or was done by a run before: see below.
     let silent = Reporter::new(true);
     let images = Images::with_budget(city.images.clone(), (resources.memory / 8).min(1 << 30), &silent);
     let mut faults = images.faults();
-    let mut hierarchy = Hierarchy::new(&city, job, store, &images, copyright.as_deref(), resources, reporter);
-    hierarchy.make(labels.median_edge_m)?;
+    let labels = labels::label(&city, &images, job, store, reporter)?;
+    let nodes = hierarchy::nodes(&city, job, labels.median_edge_m, store, reporter)?;
+    if config.levels.keep_tops {
+        tops::keep(&city, &nodes, job, store, reporter)?;
+    }
+    let hems = walls::hem(&city, &nodes, job, store, reporter)?;
+    let copyright = copyright.as_deref();
+    let (images, nodes, hems) = (&images, &nodes[..], &hems[..]);
+    let records = Contents { city: &city, job, store, reporter, images, resources, nodes, hems, copyright }.make()?;
 
-    let nodes = std::mem::take(&mut hierarchy.nodes);
-    nodes.iter().for_each(|n| faults.extend(n.record.faults.clone()));
+    records.iter().for_each(|r| faults.extend(r.faults.clone()));
     for (image, what) in faults {
         reporter.warn("unreadable-texture", &images.path(image), what);
     }
-    let root = Tree::new(&city.tree, &nodes, &config.classes, config.write.texel_factor).entry(nodes.len() - 1, 0);
-    for (uri, node) in &root.1 {
-        output.adopt(&store.path(&content_name(*node)), uri)?;
+    let tree = Tree { cells: &city.tree, nodes, records: &records, hems, config };
+    let (root, contents) = tree.entry(nodes.len() - 1, 0);
+    for (uri, tile) in &contents {
+        output.adopt(&store.path(&content_name(*tile)), uri)?;
     }
-    let levels = level_rows(&root.0, &config.classes);
+    let levels = level_rows(&root, &config.classes);
+    warn_of(&root, config, job.out, reporter);
     let about = About {
         ecef_from_local: city.frame.ecef_from_local(),
         scheme: &config.classes,
-        copyright: copyright.as_deref(),
+        copyright,
         texel_factor: config.write.texel_factor,
     };
     let frame = city.frame.describe();
     output.write("build.json", &build_json(job, &frame, &city.gate, &labels.shares, &levels, reporter))?;
-    output.write("tileset.json", &tileset_bytes(&write::tileset(&root.0, &about)))?;
+    output.write("tileset.json", &tileset_bytes(&write::tileset(&root, &about)))?;
     reporter.check()?;
     output.commit()?;
     Ok(BuildReport {
@@ -164,25 +183,63 @@ fn build_in(
     })
 }
 
-/// Largest extent of a model, metres: up to here differences of grid points are exact, see [`mesh::GRID_PER_M`].
-const MOST_EXTENT_M: f64 = 8e6;
+/// The first view should come at once, whatever the size of the city.
+const LARGEST_ROOT_BYTES: u64 = 500_000;
+/// A tile above this takes too long to come, bytes.
+const LARGEST_TILE_BYTES: u64 = 1_500_000;
+
+/// Says what the tree does not keep.
+fn warn_of(root: &TileEntry, config: &Config, out: &Path, reporter: &Reporter) {
+    if root.bytes > LARGEST_ROOT_BYTES {
+        let what = format!(
+            "the root has {} kB, 500 kB were wanted; lower levels.root_faces or texture.root_atlas_px",
+            root.bytes / 1000
+        );
+        reporter.warn("heavy-root", out, what);
+    }
+    let mut open = vec![root];
+    let (mut heavy, mut worst) = (0, 0);
+    while let Some(tile) = open.pop() {
+        open.extend(&tile.children);
+        if tile.bytes > LARGEST_TILE_BYTES {
+            heavy += 1;
+            worst = worst.max(tile.bytes);
+        }
+        if !config.levels.keep_tops || tile.children.is_empty() {
+            continue;
+        }
+        for class in tile.classes.iter().filter(|c| [ClassId::ROOF, ClassId::FACADE].contains(&c.class)) {
+            let spec = &config.classes[class.class];
+            if class.sunk_m > spec.budget_m {
+                let what = format!(
+                    "{} sinks {:.3} m below a {}, {} m is its budget; do not fly by this tile",
+                    tile.uri, class.sunk_m, spec.name, spec.budget_m
+                );
+                reporter.warn("sunken-tops", out, what);
+            }
+        }
+    }
+    let what = format!(
+        "up to {:.1} MB, 1.5 MB were wanted; lower levels.leaf_texels or levels.leaf_faces",
+        worst as f64 / 1e6
+    );
+    reporter.warn_many("heavy-tiles", out, heavy, what);
+}
 
 /// The nodes as they are written: boxes hold their children's, errors never fall towards the root.
 struct Tree<'a> {
     cells: &'a Quadtree,
     nodes: &'a [Node],
-    scheme: &'a ClassScheme,
-    texel_factor: f64,
+    records: &'a [Record],
+    hems: &'a [Hem],
+    config: &'a Config,
 }
 
-impl<'a> Tree<'a> {
-    fn new(cells: &'a Quadtree, nodes: &'a [Node], scheme: &'a ClassScheme, texel_factor: f64) -> Self {
-        Self { cells, nodes, scheme, texel_factor }
-    }
-
+impl Tree<'_> {
     /// The entry of a node, and where in the store the contents of its subtree are, by their name in the output.
     fn entry(&self, at: usize, level: u32) -> (TileEntry, Vec<(String, usize)>) {
-        let (node, made) = (&self.nodes[at], &self.nodes[at].record);
+        let (node, made, hem) = (&self.nodes[at], &self.records[at], &self.hems[at]);
+        let (scheme, texel_factor) = (&self.config.classes, self.config.write.texel_factor);
         let uri = format!("tiles/{level}/{}.glb", self.cells.key(node.cell));
         let mut contents = vec![(uri.clone(), at)];
         let children: Vec<TileEntry> = (node.children.iter())
@@ -194,16 +251,20 @@ impl<'a> Tree<'a> {
             .collect();
         let of_children = children.iter().map(|c| c.geometric_error_m).fold(0.0, f64::max);
         // A leaf is the source, texels and all: only what rounding did to it counts.
-        let own = if node.is_leaf() { made.geometry_m } else { made.geometry_m.max(self.texel_factor * made.texel_m) };
+        let own = if node.is_leaf() { made.geometry_m } else { made.geometry_m.max(texel_factor * made.texel_m) };
+        // The scale at which the certified bounds are within their budgets, whatever the collapse was allowed.
+        let own_scale = made.classes.iter().map(|d| d.bound_m / scheme[d.class].budget_m).fold(0.0, f64::max);
+        let scale = children.iter().map(|c| c.scale).fold(own_scale, f64::max);
         let class_error = |d: &ClassDeviation| ClassError {
             class: d.class,
-            budget_m: self.scheme[d.class].budget_m * node.scale,
+            budget_m: scheme[d.class].budget_m * scale,
             bound_m: d.bound_m,
             mean_m: d.figures.mean_m,
             rms_m: d.figures.rms_m,
             p95_m: d.figures.p95_m,
             p99_m: d.figures.p99_m,
             inside_m: d.inside_m,
+            sunk_m: d.sunk_m,
         };
         let entry = TileEntry {
             uri,
@@ -211,7 +272,11 @@ impl<'a> Tree<'a> {
             geometric_error_m: own.max(of_children),
             geometry_m: made.geometry_m,
             texel_m: made.texel_m,
+            scale,
+            wall_m: hem.wall_m,
+            skirt_m: hem.skirt_m,
             triangles: made.triangles as u64,
+            skirt_triangles: made.skirt_triangles as u64,
             bytes: made.bytes,
             classes: made.classes.iter().map(class_error).collect(),
             level,

@@ -5,10 +5,10 @@ use std::path::PathBuf;
 
 use serde::Serialize;
 
-use crate::classes::Confusion;
+use crate::classes::{Classes, Confusion};
 use crate::geo::FrameSummary;
 use crate::ids::ClassScheme;
-use crate::mesh::GateReport;
+use crate::mesh::{GateReport, Mesh};
 use crate::report::{StageTime, Warning};
 use crate::write::TileEntry;
 
@@ -57,8 +57,10 @@ pub struct LevelRow {
     pub tiles: usize,
     /// Of them, leaves.
     pub leaves: usize,
-    /// Triangles.
+    /// Triangles of the surface.
     pub triangles: u64,
+    /// Triangles of skirts.
+    pub skirt_triangles: u64,
     /// Bytes.
     pub bytes: u64,
     /// Largest `geometricError`, metres.
@@ -67,6 +69,12 @@ pub struct LevelRow {
     pub geometry_m: f64,
     /// Largest texel, metres.
     pub texel_m: f64,
+    /// Largest scale t: every class of every tile is within t times its budget.
+    pub scale: f64,
+    /// Largest distance of a tile's border to those of tiles that can stand beside it, metres.
+    pub wall_m: f64,
+    /// Deepest skirt, metres.
+    pub skirt_m: f64,
     /// The worst of each class over the level's tiles, metres.
     pub classes: Vec<ClassRow>,
 }
@@ -76,12 +84,23 @@ pub struct LevelRow {
 pub struct ClassRow {
     /// Name in the scheme.
     pub class: String,
+    /// Largest deviation allowed at the tile's scale, metres.
+    pub budget_m: f64,
     /// Largest certified two-sided bound, metres.
     pub bound_m: f64,
     /// Largest mean, metres.
     pub mean_m: f64,
+    /// Largest root mean square, metres.
+    pub rms_m: f64,
     /// Largest 95th percentile, metres.
     pub p95_m: f64,
+    /// Largest 99th percentile, metres.
+    pub p99_m: f64,
+    /// Furthest that a tile sinks inside the source, along the source's normals, metres (certified); absent where no tile
+    /// of the level has the class.
+    pub inside_m: Option<f64>,
+    /// Most that a tile is lower than the source, metres (certified).
+    pub sunk_m: Option<f64>,
 }
 
 impl fmt::Display for BuildReport {
@@ -123,6 +142,20 @@ impl fmt::Display for BuildReport {
     }
 }
 
+/// A row for each class, of nothing yet.
+pub(super) fn no_shares(scheme: &ClassScheme) -> Vec<ClassShare> {
+    scheme.0.iter().map(|c| ClassShare { class: c.name.clone(), triangles: 0, area_m2: 0.0 }).collect()
+}
+
+pub(super) fn shares(mesh: &Mesh, classes: &Classes) -> Vec<ClassShare> {
+    let mut rows = no_shares(&classes.scheme);
+    for (f, label) in classes.label.iter().enumerate() {
+        rows[label.index()].triangles += 1;
+        rows[label.index()].area_m2 += mesh.cross(f).length() * 0.5;
+    }
+    rows
+}
+
 pub(super) fn level_rows(root: &TileEntry, scheme: &ClassScheme) -> Vec<LevelRow> {
     let mut rows: Vec<LevelRow> = Vec::new();
     let mut open = vec![root];
@@ -130,17 +163,30 @@ pub(super) fn level_rows(root: &TileEntry, scheme: &ClassScheme) -> Vec<LevelRow
         open.extend(&tile.children);
         let level = tile.level as usize;
         while rows.len() <= level {
-            let classes =
-                scheme.0.iter().map(|c| ClassRow { class: c.name.clone(), bound_m: 0.0, mean_m: 0.0, p95_m: 0.0 });
+            let classes = scheme.0.iter().map(|c| ClassRow {
+                class: c.name.clone(),
+                budget_m: 0.0,
+                bound_m: 0.0,
+                mean_m: 0.0,
+                rms_m: 0.0,
+                p95_m: 0.0,
+                p99_m: 0.0,
+                inside_m: None,
+                sunk_m: None,
+            });
             rows.push(LevelRow {
                 level: rows.len() as u32,
                 tiles: 0,
                 leaves: 0,
                 triangles: 0,
+                skirt_triangles: 0,
                 bytes: 0,
                 geometric_error_m: 0.0,
                 geometry_m: 0.0,
                 texel_m: 0.0,
+                scale: 0.0,
+                wall_m: 0.0,
+                skirt_m: 0.0,
                 classes: classes.collect(),
             });
         }
@@ -148,15 +194,24 @@ pub(super) fn level_rows(root: &TileEntry, scheme: &ClassScheme) -> Vec<LevelRow
         row.tiles += 1;
         row.leaves += usize::from(tile.children.is_empty());
         row.triangles += tile.triangles;
+        row.skirt_triangles += tile.skirt_triangles;
+        row.scale = row.scale.max(tile.scale);
+        row.wall_m = row.wall_m.max(tile.wall_m);
+        row.skirt_m = row.skirt_m.max(tile.skirt_m);
         row.bytes += tile.bytes;
         row.geometric_error_m = row.geometric_error_m.max(tile.geometric_error_m);
         row.geometry_m = row.geometry_m.max(tile.geometry_m);
         row.texel_m = row.texel_m.max(tile.texel_m);
         for class in &tile.classes {
             let of = &mut row.classes[class.class.index()];
+            of.budget_m = of.budget_m.max(class.budget_m);
             of.bound_m = of.bound_m.max(class.bound_m);
             of.mean_m = of.mean_m.max(class.mean_m);
+            of.rms_m = of.rms_m.max(class.rms_m);
             of.p95_m = of.p95_m.max(class.p95_m);
+            of.p99_m = of.p99_m.max(class.p99_m);
+            of.inside_m = Some(of.inside_m.map_or(class.inside_m, |m| m.max(class.inside_m)));
+            of.sunk_m = Some(of.sunk_m.map_or(class.sunk_m, |m| m.max(class.sunk_m)));
         }
     }
     rows

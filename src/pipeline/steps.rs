@@ -266,6 +266,11 @@ impl<'a> Steps<'a> {
         self.state.iter().map(|(&cell, s)| (cell, s.faces))
     }
 
+    /// Faces of a cell.
+    pub fn faces_of(&self, cell: u32) -> usize {
+        self.state.get(&cell).map_or(0, |s| s.faces as usize)
+    }
+
     /// Faces left.
     pub fn faces(&self) -> usize {
         self.state.values().map(|s| s.faces as usize).sum()

@@ -27,19 +27,33 @@ pub struct Plane {
 }
 
 impl Moments {
-    /// Adds a triangle given relative to the origin. Exact: ∫xxᵀ = A/12 (Σvvᵀ + 9ccᵀ).
-    pub fn add(&mut self, [a, b, c]: [DVec3; 3]) {
-        let twice = (b - a).cross(c - a);
-        let area = 0.5 * twice.length();
-        let centre = (a + b + c) / 3.0;
+    /// Adds a triangle given relative to the origin. Exact: ∫xxᵀ = A/12 (Σvvᵀ + ssᵀ) with s = Σv.
+    pub fn add(&mut self, triangle: [DVec3; 3]) {
+        self.add_times(triangle, 1.0);
+    }
+
+    /// Takes a triangle out again; what rounding leaves is far below any tolerance.
+    pub fn remove(&mut self, triangle: [DVec3; 3]) {
+        self.add_times(triangle, -1.0);
+    }
+
+    fn add_times(&mut self, [a, b, c]: [DVec3; 3], sign: f64) {
+        let half = (0.5 * sign) * (b - a).cross(c - a);
+        let area = sign * half.length();
+        let sum = a + b + c;
         self.area += area;
-        self.first += centre * area;
-        self.facing += 0.5 * twice;
+        self.first += sum * (area / 3.0);
+        self.facing += half;
         let product = |v: DVec3| [v.x * v.x, v.y * v.y, v.z * v.z, v.x * v.y, v.x * v.z, v.y * v.z];
-        let (pa, pb, pc, pm) = (product(a), product(b), product(c), product(centre));
+        let (pa, pb, pc, ps) = (product(a), product(b), product(c), product(sum));
         for i in 0..6 {
-            self.second[i] += area / 12.0 * (pa[i] + pb[i] + pc[i] + 9.0 * pm[i]);
+            self.second[i] += area / 12.0 * (pa[i] + pb[i] + pc[i] + ps[i]);
         }
+    }
+
+    /// Centroid relative to the origin; the origin if there is no area.
+    pub fn centroid(&self) -> DVec3 {
+        if self.area > 0.0 { self.first / self.area } else { DVec3::ZERO }
     }
 
     /// The same surface seen from another origin: `shift` is the old origin relative to the new one.

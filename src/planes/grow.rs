@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use super::fit::{Moments, Plane};
 use super::normals::Surface;
-use super::{NONE, PlanesConfig, Region};
+use super::{NONE, PlanesConfig, Region, Seeds};
 use crate::mesh::Mesh;
 
 /// A region is refitted each time it has grown by this factor: O(log n) refits a region.
@@ -54,19 +54,36 @@ pub fn regions(mesh: &Mesh, surface: &Surface, config: &PlanesConfig) -> (Vec<u3
     let gate =
         Gate { distance_m: distance(surface, config), cos_angle: config.angle_deg.to_radians().cos().min(0.9999) };
     let mut growth = Growth::new(mesh, surface, config, &gate);
-    for seed in seeds(surface) {
+    for seed in seeds(surface, config.seeds) {
         growth.grow(seed);
     }
-    let Growth { mut region, mut planes, .. } = growth;
-    for _ in 0..BORDER_SWEEPS {
-        region = settle_borders(mesh, surface, &gate, &region, &planes);
+    let Growth { region: grown, mut patches, .. } = growth;
+    let mut region = settle_borders(mesh, surface, &gate, &grown, &patches);
+    for _ in 1..BORDER_SWEEPS {
+        region = settle_borders(mesh, surface, &gate, &region, &patches);
     }
-    merge(mesh, surface, &gate, &mut region, &mut planes);
-    finish(mesh, surface, config, &region, planes.len())
+    for f in (0..region.len()).filter(|&f| region[f] != grown[f]) {
+        if grown[f] != NONE {
+            patches[grown[f] as usize].remove(mesh.corners(f));
+        }
+        if region[f] != NONE {
+            patches[region[f] as usize].add(mesh.corners(f));
+        }
+    }
+    drop(grown);
+    if config.seeds == Seeds::Planar {
+        merge(surface, &gate, &mut region, &mut patches);
+    }
+    finish(surface, config, region, &patches)
 }
 
-/// Flat faces, flattest first, ties by id.
-fn seeds(surface: &Surface) -> Vec<u32> {
+/// Flat faces, flattest first, ties by id; or every face in an order that looks random and is always the same.
+fn seeds(surface: &Surface, kind: Seeds) -> Vec<u32> {
+    if kind == Seeds::Random {
+        let mut order: Vec<u32> = (0..surface.bend.len() as u32).collect();
+        order.par_sort_unstable_by_key(|&f| (scattered(f), f));
+        return order;
+    }
     let step = |f: usize| ((surface.bend[f] / SEED_BEND * SEED_STEPS as f32) as usize).min(SEED_STEPS);
     let mut start = vec![0usize; SEED_STEPS + 2];
     let faces = surface.bend.len();
@@ -85,6 +102,38 @@ fn seeds(surface: &Surface) -> Vec<u32> {
     order
 }
 
+/// Fibonacci hashing, twice.
+fn scattered(f: u32) -> u64 {
+    let once = (u64::from(f) + 1).wrapping_mul(0x9E37_79B9_7F4A_7C15);
+    (once ^ (once >> 31)).wrapping_mul(0xD6E8_FEB8_6659_FD93)
+}
+
+/// A region while it may still change.
+struct Patch {
+    /// As fitted when growing ended; joined regions are fitted again.
+    plane: Plane,
+    /// About `origin`: local, so nothing is lost far from the dataset's origin.
+    moments: Moments,
+    origin: DVec3,
+    faces: u32,
+}
+
+impl Patch {
+    fn add(&mut self, corners: [DVec3; 3]) {
+        self.moments.add(corners.map(|p| p - self.origin));
+        self.faces += 1;
+    }
+
+    fn remove(&mut self, corners: [DVec3; 3]) {
+        self.moments.remove(corners.map(|p| p - self.origin));
+        self.faces -= 1;
+    }
+
+    fn centroid(&self) -> DVec3 {
+        self.origin + self.moments.centroid()
+    }
+}
+
 struct Growth<'a> {
     mesh: &'a Mesh,
     surface: &'a Surface,
@@ -93,7 +142,7 @@ struct Growth<'a> {
     region: Vec<u32>,
     /// Seeds whose region stayed too small; they may join others but not start again.
     failed: Vec<bool>,
-    planes: Vec<Plane>,
+    patches: Vec<Patch>,
     queue: VecDeque<u32>,
     members: Vec<u32>,
 }
@@ -108,7 +157,7 @@ impl<'a> Growth<'a> {
             gate,
             region: vec![NONE; faces],
             failed: vec![false; faces],
-            planes: Vec::new(),
+            patches: Vec::new(),
             queue: VecDeque::new(),
             members: Vec::new(),
         }
@@ -119,8 +168,7 @@ impl<'a> Growth<'a> {
         if self.region[first] != NONE || self.failed[first] || self.surface.areas[first] <= 0.0 {
             return;
         }
-        let id = self.planes.len() as u32;
-        // All sums are about the seed's corner: local, so nothing is lost far from the dataset's origin.
+        let id = self.patches.len() as u32;
         let origin = self.mesh.corners(first)[0];
         let normal = self.surface.normals[first].as_dvec3();
         let centroid = self.mesh.corners(first).iter().map(|p| *p - origin).sum::<DVec3>() / 3.0;
@@ -158,7 +206,8 @@ impl<'a> Growth<'a> {
             return;
         }
         let fitted = moments.plane();
-        self.planes.push(Plane { centroid: fitted.centroid + origin, ..fitted });
+        let plane = Plane { centroid: fitted.centroid + origin, ..fitted };
+        self.patches.push(Patch { plane, moments, origin, faces: self.members.len() as u32 });
     }
 }
 
@@ -167,7 +216,7 @@ fn is_too_small(area_m2: f64, faces: u32, config: &PlanesConfig) -> bool {
 }
 
 /// Lets every face beside another region (or beside one while in none) choose the best of what touches it.
-fn settle_borders(mesh: &Mesh, surface: &Surface, gate: &Gate, region: &[u32], planes: &[Plane]) -> Vec<u32> {
+fn settle_borders(mesh: &Mesh, surface: &Surface, gate: &Gate, region: &[u32], patches: &[Patch]) -> Vec<u32> {
     let choose = |f: usize| {
         let own = region[f];
         let around = surface.neighbours[f].map(|g| if g == NONE { own } else { region[g as usize] });
@@ -180,7 +229,7 @@ fn settle_borders(mesh: &Mesh, surface: &Surface, gate: &Gate, region: &[u32], p
             if r == NONE {
                 continue;
             }
-            if let Some(misfit) = gate.misfit(corners, normal, &planes[r as usize])
+            if let Some(misfit) = gate.misfit(corners, normal, &patches[r as usize].plane)
                 && (misfit, r) < best
             {
                 best = (misfit, r);
@@ -191,23 +240,8 @@ fn settle_borders(mesh: &Mesh, surface: &Surface, gate: &Gate, region: &[u32], p
     (0..mesh.faces.len()).into_par_iter().with_min_len(4096).map(choose).collect()
 }
 
-/// Moments of every region about one origin per region (its plane's centroid).
-fn all_moments(mesh: &Mesh, region: &[u32], origins: &[DVec3]) -> (Vec<Moments>, Vec<u32>) {
-    let mut moments = vec![Moments::default(); origins.len()];
-    let mut faces = vec![0u32; origins.len()];
-    for (f, &r) in region.iter().enumerate() {
-        if r != NONE {
-            moments[r as usize].add(mesh.corners(f).map(|p| p - origins[r as usize]));
-            faces[r as usize] += 1;
-        }
-    }
-    (moments, faces)
-}
-
 /// Joins neighbouring regions that are one plane, most similar first.
-fn merge(mesh: &Mesh, surface: &Surface, gate: &Gate, region: &mut [u32], planes: &mut [Plane]) {
-    let mut origins: Vec<DVec3> = planes.iter().map(|p| p.centroid).collect();
-    let (mut moments, _) = all_moments(mesh, region, &origins);
+fn merge(surface: &Surface, gate: &Gate, region: &mut [u32], patches: &mut [Patch]) {
     let mut pairs: Vec<(u32, u32)> = Vec::new();
     for (f, of) in surface.neighbours.iter().enumerate() {
         let a = region[f];
@@ -220,32 +254,38 @@ fn merge(mesh: &Mesh, surface: &Surface, gate: &Gate, region: &mut [u32], planes
     }
     pairs.par_sort_unstable();
     pairs.dedup();
-    let agree = |p: &[Plane], a: u32, b: u32| p[a as usize].normal.dot(p[b as usize].normal);
-    pairs.retain(|&(a, b)| agree(planes, a, b) > gate.cos_angle);
-    pairs.sort_by(|x, y| agree(planes, y.0, y.1).total_cmp(&agree(planes, x.0, x.1)).then(x.cmp(y)));
-    let mut parent: Vec<u32> = (0..planes.len() as u32).collect();
+    let agree = |p: &[Patch], a: u32, b: u32| p[a as usize].plane.normal.dot(p[b as usize].plane.normal);
+    pairs.retain(|&(a, b)| agree(patches, a, b) > gate.cos_angle);
+    pairs.sort_by(|x, y| agree(patches, y.0, y.1).total_cmp(&agree(patches, x.0, x.1)).then(x.cmp(y)));
+    let mut parent: Vec<u32> = (0..patches.len() as u32).collect();
     for (a, b) in pairs {
         let (a, b) = (root(&mut parent, a) as usize, root(&mut parent, b) as usize);
         if a == b {
             continue;
         }
-        let joined = moments[a].joined(&moments[b].moved(origins[b] - origins[a]));
-        let plane = joined.plane();
-        // One plane explains both as well as a plane explains one: half the gate leaves room for its tails.
-        let limit = 0.5 * gate.distance_m;
-        let offset = |r: usize| (origins[r] - origins[a] - plane.centroid).dot(plane.normal).abs();
-        let turned = |r: usize| plane.normal.dot(planes[r].normal) < half_angle_cos(gate.cos_angle);
-        if plane.rms_m > limit || offset(a).max(offset(b)) > limit || turned(a) || turned(b) {
-            continue;
-        }
         let (keep, gone) = (a.min(b), a.max(b));
-        parent[gone] = keep as u32;
-        let centre = plane.centroid + origins[a];
-        moments[keep] = joined.moved(origins[a] - centre);
-        origins[keep] = centre;
-        planes[keep] = Plane { centroid: centre, ..plane };
+        if let Some(joined) = joined(&patches[keep], &patches[gone], gate) {
+            parent[gone] = keep as u32;
+            patches[keep] = joined;
+            patches[gone].faces = 0;
+        }
     }
     region.iter_mut().filter(|r| **r != NONE).for_each(|r| *r = root(&mut parent, *r));
+}
+
+/// Both regions as one, if one plane explains both as well as a plane explains one: half the gate leaves room for
+/// its tails.
+fn joined(a: &Patch, b: &Patch, gate: &Gate) -> Option<Patch> {
+    let moments = a.moments.joined(&b.moments.moved(b.origin - a.origin));
+    let fitted = moments.plane();
+    let plane = Plane { centroid: fitted.centroid + a.origin, ..fitted };
+    let limit = 0.5 * gate.distance_m;
+    let offset = |of: &Patch| (of.centroid() - plane.centroid).dot(plane.normal).abs();
+    let turned = |of: &Patch| plane.normal.dot(of.plane.normal) < half_angle_cos(gate.cos_angle);
+    if plane.rms_m > limit || offset(a).max(offset(b)) > limit || turned(a) || turned(b) {
+        return None;
+    }
+    Some(Patch { plane, moments, origin: a.origin, faces: a.faces + b.faces })
 }
 
 /// cos(θ/2) of cos θ.
@@ -261,41 +301,33 @@ fn root(parent: &mut [u32], mut of: u32) -> u32 {
     of
 }
 
-/// Drops small regions, refits the others over their final faces and numbers them by area.
-fn finish(
-    mesh: &Mesh,
-    surface: &Surface,
-    config: &PlanesConfig,
-    region: &[u32],
-    count: usize,
-) -> (Vec<u32>, Vec<Region>) {
-    let mut origins = vec![DVec3::ZERO; count];
-    let mut seen = vec![false; count];
-    for (f, &r) in region.iter().enumerate() {
-        if r != NONE && !seen[r as usize] {
-            seen[r as usize] = true;
-            origins[r as usize] = mesh.corners(f)[0];
-        }
-    }
-    let (moments, faces) = all_moments(mesh, region, &origins);
-    let mut order: Vec<u32> = (0..count as u32).collect();
-    order.retain(|&r| faces[r as usize] > 0 && !is_too_small(moments[r as usize].area, faces[r as usize], config));
-    order.sort_by(|&a, &b| moments[b as usize].area.total_cmp(&moments[a as usize].area).then(a.cmp(&b)));
-    let mut renumbered = vec![NONE; count];
+/// Drops small regions, fits the others over their final faces and numbers them by area.
+fn finish(surface: &Surface, config: &PlanesConfig, region: Vec<u32>, patches: &[Patch]) -> (Vec<u32>, Vec<Region>) {
+    let area = |r: u32| patches[r as usize].moments.area;
+    let mut order: Vec<u32> = (0..patches.len() as u32).collect();
+    order.retain(|&r| {
+        let faces = patches[r as usize].faces;
+        faces > 0 && !is_too_small(area(r), faces, config)
+    });
+    order.sort_by(|&a, &b| area(b).total_cmp(&area(a)).then(a.cmp(&b)));
+    let mut renumbered = vec![NONE; patches.len()];
     let mut regions = Vec::with_capacity(order.len());
     for (new, &old) in order.iter().enumerate() {
         renumbered[old as usize] = new as u32;
-        let (old, plane) = (old as usize, moments[old as usize].plane());
+        let patch = &patches[old as usize];
+        let plane = patch.moments.plane();
         regions.push(Region {
             normal: plane.normal,
-            centroid: plane.centroid + origins[old],
-            area_m2: moments[old].area,
-            faces: faces[old],
+            centroid: plane.centroid + patch.origin,
+            area_m2: patch.moments.area,
+            faces: patch.faces,
         });
     }
-    let known = |f: usize| surface.areas[f] > 0.0 && region[f] != NONE;
-    let face_region = (0..region.len()).map(|f| if known(f) { renumbered[region[f] as usize] } else { NONE });
-    (face_region.collect(), regions)
+    let mut face_region = region;
+    face_region.par_iter_mut().with_min_len(4096).zip(&surface.areas).for_each(|(r, &area)| {
+        *r = if area > 0.0 && *r != NONE { renumbered[*r as usize] } else { NONE };
+    });
+    (face_region, regions)
 }
 
 #[cfg(test)]

@@ -5,7 +5,8 @@
 //! 1. [`Images::cover`] marks the texels the mesh uses, so that mips average nothing else.
 //! 2. Leaf tiles: [`repack()`] copies the charts a tile uses, texel for texel.
 //! 3. Simplified tiles: [`bake()`] cuts new charts (`chart`), packs them (`pack`) and samples the source surface.
-//! 4. [`encode_jpeg`] compresses.
+//! 4. A cut of a whole mesh: [`paint_cut`] chooses the texel and bakes.
+//! 5. [`encode_jpeg`] compresses.
 //! # Promises
 //! A repacked atlas holds source texels bit for bit; a baked one holds no texel of the source's background; both
 //! are the same for any number of threads. Each has its test in the file that makes it.
@@ -21,17 +22,21 @@ use crate::{Error, Result};
 
 mod bake;
 mod chart;
+mod cut;
 mod encode;
 mod images;
 mod mask;
+mod mean;
 mod pack;
 mod raster;
 mod repack;
 mod sample;
 
 pub use bake::{BakeSource, bake};
+pub use cut::paint_cut;
 pub use encode::encode_jpeg;
 pub use images::Images;
+pub use mean::mean_colors;
 pub use repack::repack;
 
 /// Painted where nothing is known: mid grey, sRGB.
@@ -101,6 +106,23 @@ impl Surface<'_> {
         uvs.iter().all(|uv| uv.x.abs() <= MAX_UV && uv.y.abs() <= MAX_UV).then_some(image)
     }
 
+    /// True where any face has an image; a surface in plain colours needs no atlas.
+    pub fn is_painted(&self) -> bool {
+        let has_image = |m: &u32| self.materials.get(*m as usize).is_some_and(|m| m.image.is_some());
+        !self.corner_uvs.is_empty() && self.face_material.iter().any(has_image)
+    }
+
+    /// Metres per texel of the surface's images: the root of area over texels; 0 without texels.
+    pub fn texel_m(&self, images: &Images) -> f64 {
+        let (mut area_m2, mut texels) = (0.0, 0.0);
+        for f in 0..self.faces.len() {
+            let Some(image) = self.image(f) else { continue };
+            area_m2 += self.area_m2(f);
+            texels += texels_of(&self.corner_uvs[f], images.dimensions(image));
+        }
+        if texels > 0.0 { (area_m2 / texels).sqrt() } else { 0.0 }
+    }
+
     /// The colour of face `f` where it has no image: its mean vertex colour, else its material's colour, else grey.
     pub(crate) fn solid_color(&self, f: usize) -> [u8; 3] {
         if self.vertex_colors.is_empty() {
@@ -115,6 +137,13 @@ impl Surface<'_> {
         let material = self.face_material.get(f).and_then(|&m| self.materials.get(m as usize));
         material.map_or(GREY, |m| m.base_color)
     }
+}
+
+/// Texels of an image inside a triangle of texture coordinates.
+pub fn texels_of(uvs: &[Vec2; 3], [width, height]: [u32; 2]) -> f64 {
+    let [a, b, c] = uvs.map(|uv| uv.as_dvec2());
+    let texels = 0.5 * (b - a).perp_dot(c - a).abs() * f64::from(width) * f64::from(height);
+    if texels.is_finite() { texels } else { 0.0 }
 }
 
 /// How atlases are made.

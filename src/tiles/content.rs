@@ -8,11 +8,12 @@
 
 use std::collections::HashMap;
 
-use glam::{DVec3, Vec2};
+use glam::{DVec3, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 
 use super::error::{Deviation, Figures, Surface as Measured, directed};
 use super::levels::TileMesh;
+use super::skirt::Hem;
 use crate::Result;
 use crate::geo::bounds::Aabb;
 use crate::geo::bvh::Bvh;
@@ -31,8 +32,10 @@ pub struct MadeTile {
     pub geometry_m: f64,
     /// Size of a texel, metres; 0 without texture.
     pub texel_m: f64,
-    /// Triangles.
+    /// Triangles of the surface.
     pub triangles: usize,
+    /// Triangles of skirts.
+    pub skirt_triangles: usize,
     /// Per class that occurs in the tile or its source.
     pub classes: Vec<ClassDeviation>,
     /// Texture coordinates of every corner of the tile's surface, in its atlas; empty without texture.
@@ -48,8 +51,10 @@ pub struct ClassDeviation {
     pub class: ClassId,
     /// Certified two-sided bound, metres.
     pub bound_m: f64,
-    /// Measured depth to which the tile sinks inside the source, metres.
+    /// How far the tile sinks inside the source at most, along the source's normals, metres (certified).
     pub inside_m: f64,
+    /// How much lower than the source the tile is at most, metres (certified).
+    pub sunk_m: f64,
     /// Area-weighted figures, metres.
     pub figures: Figures,
 }
@@ -87,8 +92,19 @@ pub struct Reference {
     pub labels: Vec<ClassId>,
     /// Referenced by `face_material`.
     pub materials: Vec<Material>,
-    /// Per class, how far the surface is from the source's, certified, metres; empty for the source itself.
-    pub error_m: Vec<f64>,
+    /// Per class, how far the surface is from the source's; empty for the source itself.
+    pub apart: Vec<Apart>,
+}
+
+/// How far a surface is from the source's, certified, metres.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Apart {
+    /// Both ways.
+    pub bound_m: f64,
+    /// Along the source's normals.
+    pub inside_m: f64,
+    /// Straight down.
+    pub sunk_m: f64,
 }
 
 impl Maker<'_> {
@@ -96,7 +112,7 @@ impl Maker<'_> {
     ///
     /// # Errors
     /// Only a broken promise of the texture stage.
-    pub fn make_leaf(&self, source: &Reference, images: &Images) -> Result<MadeTile> {
+    pub fn make_leaf(&self, source: &Reference, hem: &Hem, images: &Images) -> Result<MadeTile> {
         let paint = source.is_painted().then(|| repack(&source.surface(), images, self.texture)).transpose()?;
         let quality = self.texture.jpeg_quality;
         let exact = source.labels.iter().fold(vec![false; self.scheme.len()], |mut seen, l| {
@@ -104,9 +120,15 @@ impl Maker<'_> {
             seen
         });
         let classes = (self.scheme.ids().filter(|c| exact[c.index()]))
-            .map(|class| ClassDeviation { class, bound_m: 0.0, inside_m: 0.0, figures: Figures::default() })
+            .map(|class| ClassDeviation {
+                class,
+                bound_m: 0.0,
+                inside_m: 0.0,
+                sunk_m: 0.0,
+                figures: Figures::default(),
+            })
             .collect();
-        Ok(self.assemble(source, paint, quality, 0.0, classes, self.moved_m))
+        Ok(self.assemble(source, paint, quality, (0.0, self.moved_m), classes, hem))
     }
 
     /// Makes an inner tile: the simplified surface, measured against what it stands for and painted from it. `images`
@@ -114,7 +136,13 @@ impl Maker<'_> {
     ///
     /// # Errors
     /// Only a broken promise of the texture stage.
-    pub fn make_inner(&self, mesh: &TileMesh, is_root: bool, source: &Reference, images: &Images) -> Result<MadeTile> {
+    pub fn make_inner(
+        &self,
+        (mesh, is_root): (&TileMesh, bool),
+        source: &Reference,
+        hem: &Hem,
+        images: &Images,
+    ) -> Result<MadeTile> {
         let tree = Bvh::new(&source.positions, &source.faces);
         let (classes, geometry_m) = self.measure(mesh, source, &tree);
         let mut patch = Reference {
@@ -125,7 +153,7 @@ impl Maker<'_> {
         };
         let config = TextureConfig { max_atlas_px: self.atlas_px(is_root), ..self.texture.clone() };
         let paint = if source.is_painted() {
-            let texel_m = (geometry_m / self.texel_factor).max(source.texel_m(images));
+            let texel_m = (geometry_m / self.texel_factor).max(source.surface().texel_m(images));
             let from = BakeSource { surface: source.surface(), bvh: &tree };
             Some(bake(&patch.surface(), &from, images, texel_m, &config)?)
         } else {
@@ -133,8 +161,8 @@ impl Maker<'_> {
             None
         };
         // The errors of finer tiles hold what was moved already.
-        let moved_m = if source.error_m.is_empty() { self.moved_m } else { 0.0 };
-        Ok(self.assemble(&patch, paint, self.texture.coarse_jpeg_quality, geometry_m, classes, moved_m))
+        let moved_m = if source.apart.is_empty() { self.moved_m } else { 0.0 };
+        Ok(self.assemble(&patch, paint, self.texture.coarse_jpeg_quality, (geometry_m, moved_m), classes, hem))
     }
 
     /// The first view is one tile: its texture is kept small.
@@ -149,12 +177,18 @@ impl Maker<'_> {
         let coarse = Measured { positions: &mesh.positions, faces: &mesh.faces, labels: &mesh.labels };
         let forward = directed(fine, coarse, &Bvh::new(&mesh.positions, &mesh.faces), count, true);
         let backward = directed(coarse, fine, source_tree, count, false);
-        let bounds = chained(&forward, &backward, &source.error_m);
+        let apart = chained(&forward, &backward, &source.apart);
         let both = forward.into_iter().zip(backward).map(|(f, b)| Deviation::two_sided(f, b));
-        let classes: Vec<ClassDeviation> = (self.scheme.ids().zip(both).zip(bounds))
+        let classes: Vec<ClassDeviation> = (self.scheme.ids().zip(both).zip(apart))
             // A class that the reference lost is still the source's.
-            .filter(|((class, d), _)| !d.is_empty() || source.error_m.get(class.index()).is_some_and(|e| *e > 0.0))
-            .map(|((class, d), bound_m)| ClassDeviation { class, bound_m, inside_m: d.inside_m, figures: d.figures() })
+            .filter(|((class, d), _)| !d.is_empty() || source.apart.get(class.index()).is_some_and(|a| a.bound_m > 0.0))
+            .map(|((class, d), Apart { bound_m, inside_m, sunk_m })| ClassDeviation {
+                class,
+                bound_m,
+                inside_m,
+                sunk_m,
+                figures: d.figures(),
+            })
             .collect();
         let worst = classes.iter().map(|c| c.bound_m).fold(0.0, f64::max);
         (classes, worst)
@@ -166,9 +200,9 @@ impl Maker<'_> {
         patch: &Reference,
         paint: Option<Baked>,
         quality: u8,
-        geometry_m: f64,
+        (geometry_m, moved_m): (f64, f64),
         classes: Vec<ClassDeviation>,
-        moved_m: f64,
+        hem: &Hem,
     ) -> MadeTile {
         let bounds = Aabb::of(patch.positions.iter().copied());
         // Origins on a coarse grid print short and are exact in f32.
@@ -201,17 +235,26 @@ impl Maker<'_> {
             };
             content.faces.push([0, 1, 2].map(corner));
         }
+        let triangles = content.faces.len();
+        hang(&mut content, hem);
         content.atlas = paint.as_ref().map(|p| encode_jpeg(&p.atlas, quality));
         // What a viewer sees: f32 vertices about the origin.
         let seen = |p: DVec3| origin + (p - origin).as_vec3().as_dvec3();
         let rounding_m = patch.positions.iter().map(|p| (seen(*p) - *p).length()).fold(0.0, f64::max);
         let added_m = moved_m + rounding_m;
-        let classes = classes.into_iter().map(|c| ClassDeviation { bound_m: c.bound_m + added_m, ..c }).collect();
+        let moved = |c: ClassDeviation| ClassDeviation {
+            bound_m: c.bound_m + added_m,
+            inside_m: c.inside_m + added_m,
+            sunk_m: c.sunk_m + added_m,
+            ..c
+        };
+        let classes = classes.into_iter().map(moved).collect();
         MadeTile {
-            bounds: Aabb::of(patch.positions.iter().map(|p| seen(*p))),
+            bounds: Aabb::of(content.positions.iter().map(|p| origin + p.as_dvec3())),
             geometry_m: geometry_m + added_m,
             texel_m,
-            triangles: content.faces.len(),
+            triangles,
+            skirt_triangles: content.faces.len() - triangles,
             classes,
             content,
             corner_uvs: paint.map_or_else(Vec::new, |p| p.corner_uvs),
@@ -220,21 +263,63 @@ impl Maker<'_> {
     }
 }
 
+/// Adds skirts: vertices and faces of their own at the end, which take class, texture coordinates, colours and normals
+/// from the edges they hang from.
+fn hang(content: &mut TileContent, hem: &Hem) {
+    let first = content.positions.len();
+    let mut made: HashMap<(u32, [u32; 3]), u32> = HashMap::new();
+    for strip in &hem.strips {
+        let face = content.faces[strip.face as usize];
+        let corners = [0, 1].map(|k| face[(usize::from(strip.corner) + k) % 3]);
+        let edge = corners.map(|v| content.positions[v as usize]);
+        let below = strip.below.map(|p| (p - content.origin).as_vec3());
+        let mut vertex = |of: u32, at: Vec3| {
+            *made.entry((of, at.to_array().map(f32::to_bits))).or_insert_with(|| {
+                let v = of as usize;
+                content.positions.push(at);
+                content.class_of_vertex.push(content.class_of_vertex[v]);
+                if let Some(&uv) = content.uvs.get(v) {
+                    content.uvs.push(uv);
+                }
+                if let Some(&color) = content.colors.get(v) {
+                    content.colors.push(color);
+                }
+                if let Some(&normal) = content.normals.get(v) {
+                    content.normals.push(normal);
+                }
+                content.positions.len() as u32 - 1
+            })
+        };
+        let tops = [0, 1].map(|k| vertex(corners[k], edge[k]));
+        let feet = [0, 1].map(|k| vertex(corners[k], below[k]));
+        // The edge runs the other way round, so that both faces look out of the solid and the cell.
+        let triangles = [[tops[1], tops[0], feet[0]], [tops[1], feet[0], feet[1]]];
+        content.faces.extend(triangles.into_iter().filter(|[a, b, c]| a != b && b != c && c != a));
+    }
+    content.skirt_vertices = content.positions.len() - first;
+}
+
 /// Tile origins are multiples of 1/8 m.
 const ORIGINS_PER_M: f64 = 8.0;
 
-/// Per class the two-sided bound from the source: a point of class c of the source is within the reference's error for c
-/// of some point of the reference, of whatever class; a point of the tile is nearest to some point of the reference,
-/// again of whatever class.
-fn chained(forward: &[Deviation], backward: &[Deviation], error_m: &[f64]) -> Vec<f64> {
+/// Per class the distance from the source, by way of a reference that is `apart` from it: a point of class c of the source
+/// has a point of the reference, of whatever class, as near as that says for c; a point of the tile is nearest to some
+/// point of the reference, again of whatever class. What a tile sinks adds up straight down, and along the source's
+/// normals by its whole distance from the reference.
+fn chained(forward: &[Deviation], backward: &[Deviation], apart: &[Apart]) -> Vec<Apart> {
     let worst = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
     let forward_m = worst(&mut forward.iter().map(|d| d.upper_m));
-    let reference_m = worst(&mut error_m.iter().copied());
-    let bound = |(c, (f, b)): (usize, (&Deviation, &Deviation))| match error_m.get(c) {
-        Some(own) => (own + forward_m).max(b.upper_m + reference_m),
-        None => f.upper_m.max(b.upper_m),
+    let sunk_m = worst(&mut forward.iter().map(|d| d.sunk_m));
+    let reference_m = worst(&mut apart.iter().map(|a| a.bound_m));
+    let of_class = |(c, (f, b)): (usize, (&Deviation, &Deviation))| match apart.get(c) {
+        Some(own) => Apart {
+            bound_m: (own.bound_m + forward_m).max(b.upper_m + reference_m),
+            inside_m: own.inside_m + forward_m,
+            sunk_m: own.sunk_m + sunk_m,
+        },
+        None => Apart { bound_m: f.upper_m.max(b.upper_m), inside_m: f.inside_m, sunk_m: f.sunk_m },
     };
-    forward.iter().zip(backward).enumerate().map(bound).collect()
+    forward.iter().zip(backward).enumerate().map(of_class).collect()
 }
 
 impl Reference {
@@ -273,29 +358,12 @@ impl Reference {
 
     /// True where any face has an image; a surface in plain colours needs no atlas.
     pub fn is_painted(&self) -> bool {
-        let has_image = |m: &u32| self.materials.get(*m as usize).is_some_and(|m| m.image.is_some());
-        !self.corner_uvs.is_empty() && self.face_material.iter().any(has_image)
-    }
-
-    /// Metres per texel of its images, area-weighted.
-    fn texel_m(&self, images: &Images) -> f64 {
-        let (mut area_m2, mut texels) = (0.0, 0.0);
-        for (f, uvs) in self.corner_uvs.iter().enumerate() {
-            let material = self.materials.get(self.face_material[f] as usize);
-            let Some(image) = material.and_then(|m| m.image) else { continue };
-            area_m2 += self.area_m2(f);
-            texels += texels_of(uvs, images.dimensions(image));
-        }
-        if texels > 0.0 { (area_m2 / texels).sqrt() } else { 0.0 }
+        self.surface().is_painted()
     }
 
     fn cross(&self, f: usize) -> DVec3 {
         let [a, b, c] = self.faces[f].map(|v| self.positions[v as usize]);
         (b - a).cross(c - a)
-    }
-
-    fn area_m2(&self, f: usize) -> f64 {
-        self.cross(f).length() * 0.5
     }
 
     /// Area-weighted unit normals.
@@ -306,13 +374,6 @@ impl Reference {
         }
         sums.into_iter().map(|n| n.try_normalize().unwrap_or(DVec3::Z)).collect()
     }
-}
-
-/// Texels of an image inside a triangle of texture coordinates.
-pub fn texels_of(uvs: &[Vec2; 3], [width, height]: [u32; 2]) -> f64 {
-    let [a, b, c] = uvs.map(|uv| uv.as_dvec2());
-    let texels = 0.5 * (b - a).perp_dot(c - a).abs() * f64::from(width) * f64::from(height);
-    if texels.is_finite() { texels } else { 0.0 }
 }
 
 /// Colours of the nearest source points; empty where the source has none.

@@ -21,6 +21,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::signed;
 use crate::geo::bvh::{Bvh, Hit, closest_on_triangle};
 use crate::ids::ClassId;
 
@@ -53,8 +54,11 @@ pub struct Deviation {
     pub upper_m: f64,
     /// Some point is this far away (measured).
     pub lower_m: f64,
-    /// Furthest that the tile was seen to sink below the source's surface (measured, one-sided).
+    /// How far the tile sinks inside the source, along the source's normals (certified, see `signed`); negative where it
+    /// stays outside. Of the source only.
     pub inside_m: f64,
+    /// How much lower than the source it is (certified). Of the source only.
+    pub sunk_m: f64,
     /// Distance and weight (m²) of every sample, unordered.
     samples: Vec<(f32, f32)>,
 }
@@ -86,6 +90,7 @@ impl Deviation {
             upper_m: forward.upper_m.max(backward.upper_m),
             lower_m: forward.lower_m.max(backward.lower_m),
             inside_m: forward.inside_m,
+            sunk_m: forward.sunk_m,
             samples,
         }
     }
@@ -118,7 +123,7 @@ impl Deviation {
 
 /// From every point of `from` to `to`: per class of `from`, for `classes` classes.
 ///
-/// `fine` says that `from` is the source: its faces are small, and `inside_m` is filled.
+/// `fine` says that `from` is the source: its faces are small, and `inside_m` and `sunk_m` are filled.
 pub fn directed(from: Surface, to: Surface, tree: &Bvh, classes: usize, fine: bool) -> Vec<Deviation> {
     let mut found = vec![Deviation::default(); classes];
     let hits = vertex_hits(from, to, tree);
@@ -137,13 +142,16 @@ pub fn directed(from: Surface, to: Surface, tree: &Bvh, classes: usize, fine: bo
         search.file(corners(face), label.index(), &mut found);
     }
     search.close(&mut found);
+    if fine {
+        signed::bound(from, to, tree, &hits, &mut found);
+    }
     found
 }
 
 #[derive(Clone, Copy)]
-struct Corner {
-    at: DVec3,
-    hit: Hit,
+pub(super) struct Corner {
+    pub at: DVec3,
+    pub hit: Hit,
 }
 
 fn vertex_hits(from: Surface, to: Surface, tree: &Bvh) -> Vec<Hit> {
@@ -163,7 +171,7 @@ fn vertex_hits(from: Surface, to: Surface, tree: &Bvh) -> Vec<Hit> {
 }
 
 /// The closest point, searched no further than the face that was closest nearby.
-fn closest(p: DVec3, near: Option<u32>, to: Surface, tree: &Bvh) -> Hit {
+pub(super) fn closest(p: DVec3, near: Option<u32>, to: Surface, tree: &Bvh) -> Hit {
     let none = Hit { face: u32::MAX, point: p, distance: f64::INFINITY };
     let known = near.filter(|&f| f != u32::MAX).map(|face| {
         let point = closest_on_triangle(p, &to.faces[face as usize].map(|v| to.positions[v as usize]));
@@ -174,7 +182,7 @@ fn closest(p: DVec3, near: Option<u32>, to: Surface, tree: &Bvh) -> Hit {
 }
 
 /// The source: the centre of one face in every few, which stands for all of them without bias; vertices would show the
-/// surface where the collapse held it. How far the tile sinks is measured at all vertices.
+/// surface where the collapse held it.
 fn measure_source(from: Surface, to: Surface, tree: &Bvh, hits: &[Hit], found: &mut [Deviation]) {
     let stride = (from.faces.len() / SOURCE_SAMPLES).max(1);
     for (f, face) in from.faces.iter().enumerate() {
@@ -185,12 +193,6 @@ fn measure_source(from: Surface, to: Surface, tree: &Bvh, hits: &[Hit], found: &
             let hit = closest((a + b + c) / 3.0, Some(hits[face[0] as usize].face), to, tree);
             deviation.lower_m = deviation.lower_m.max(hit.distance);
             deviation.samples.push((hit.distance as f32, (cross.length() * 0.5) as f32));
-        }
-        for &v in face {
-            let hit = &hits[v as usize];
-            if cross.dot(from.positions[v as usize] - hit.point) > 0.0 {
-                deviation.inside_m = deviation.inside_m.max(hit.distance);
-            }
         }
     }
 }
@@ -371,7 +373,7 @@ mod tests {
         }
         // The upper plane as source: the lower one sinks below it by all of the distance.
         assert!((both(&high, &low, true).inside_m - 0.25).abs() < 1e-9);
-        assert_eq!(both(&low, &high, true).inside_m, 0.0);
+        assert!((both(&low, &high, true).inside_m + 0.25).abs() < 1e-9);
     }
 
     #[test]

@@ -11,6 +11,7 @@
 use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
+use super::skirt::Skirts;
 use crate::ids::ClassId;
 
 /// How the hierarchy is made.
@@ -34,6 +35,12 @@ pub struct LevelsConfig {
     /// Scale of a step over that of the step before. Default: 1.6: larger steps overshoot the faces a
     /// tile may have, smaller ones try every edge more often and end up no nearer to the source.
     pub step_ratio: f64,
+    /// Strips along the walls of cells that hide gaps between tiles of different levels: `"auto"`, `"off"`, or their
+    /// depth in metres. Default: `"auto"`, as deep as the gaps.
+    pub skirts: Skirts,
+    /// Raise simplified tiles where they are lower than a roof or a façade of the source by more than the budget of
+    /// that class at scale 1. Default: false.
+    pub keep_tops: bool,
 }
 
 impl Default for LevelsConfig {
@@ -46,6 +53,8 @@ impl Default for LevelsConfig {
             window_faces: 2_000_000,
             reference_faces: 1_000_000,
             step_ratio: 1.6,
+            skirts: Skirts::Auto,
+            keep_tops: false,
         }
     }
 }

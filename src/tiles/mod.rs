@@ -4,6 +4,9 @@ pub mod content;
 pub mod error;
 pub mod levels;
 pub mod partition;
+pub mod raise;
+mod signed;
+pub mod skirt;
 pub mod soup;
 
 pub use levels::{LevelsConfig, TileMesh};

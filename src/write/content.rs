@@ -21,6 +21,8 @@ pub struct TileContent {
     pub normals: Vec<Vec3>,
     /// Vertices are split so that all corners of a face carry its class.
     pub class_of_vertex: Vec<ClassId>,
+    /// So many vertices at the end belong to skirts, and so do the faces that use them.
+    pub skirt_vertices: usize,
     /// JPEG (or PNG) bytes.
     pub atlas: Option<Vec<u8>>,
     /// Credit to show.
@@ -60,12 +62,21 @@ impl TileContent {
             if face.iter().any(|&v| v as usize >= n) {
                 return Err(format!("face {f} points past {n} vertices"));
             }
+            let [a, b, c] = face.map(|v| self.is_skirt(v));
+            if a != b || b != c {
+                return Err(format!("face {f} is half a skirt"));
+            }
             let [a, b, c] = face.map(|v| self.class_of_vertex[v as usize]);
             if a != b || b != c {
                 return Err(format!("the corners of face {f} have different classes"));
             }
         }
         Ok(())
+    }
+
+    /// True for a vertex of a skirt.
+    pub(super) fn is_skirt(&self, vertex: u32) -> bool {
+        vertex as usize + self.skirt_vertices >= self.positions.len()
     }
 
     /// Class of face `f`.
@@ -164,6 +175,15 @@ impl Grid {
 
 fn round(p: DVec3, step_m: f64) -> I64Vec3 {
     (p / step_m).round().as_i64vec3()
+}
+
+/// How far compression may move a vertex of a tile this wide, metres, when the tile is not at hand yet.
+pub fn quantization_error_of(extent_m: f64) -> f64 {
+    let mut step_m = FINEST_STEP_M;
+    while extent_m / step_m > (STEPS - 1) as f64 {
+        step_m *= 2.0;
+    }
+    step_m * 0.5 * 3f64.sqrt()
 }
 
 /// How far compression may move a vertex of this tile, metres: half a step along each axis.

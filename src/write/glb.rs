@@ -6,7 +6,8 @@
 //! 1. Order faces for the vertex cache, vertices by first use.
 //! 2. Turn z up into y up, (x, y, z) to (x, z, -y), for vertices and for the node's translation.
 //! 3. Lay out one buffer view per attribute; compress each if asked.
-//! 4. Name the class of every vertex: `_FEATURE_ID_0` is the row of a property table, the row is the class.
+//! 4. Name the class of every vertex: `_FEATURE_ID_0` is the row of a property table, the row is the class. Skirts have
+//!    rows of their own, in the same order after the others, with the same class and `skirt` 1: they can be left out.
 //!
 //! # Promises
 //! The same content gives the same bytes. glTF-Validator finds no errors. Property table values and all other views
@@ -53,10 +54,11 @@ pub fn glb(content: &TileContent, scheme: &ClassScheme, options: &GlbOptions) ->
     }
     let order = order(content, options.primitives_per_class);
     let mut writer = Writer::new(options.compress, content.copyright.clone());
-    let attributes = writer.attributes(content, &order);
-    writer.primitives(&order, attributes, scheme, options);
+    let attributes = writer.attributes(content, &order, scheme);
+    let rows = if content.skirt_vertices > 0 { 2 * scheme.len() } else { scheme.len() };
+    writer.primitives(&order, attributes, rows, options);
     writer.materials(content, &order, scheme, options);
-    writer.classes(scheme);
+    writer.classes(scheme, rows);
     writer.finish()
 }
 
@@ -153,7 +155,7 @@ impl Writer {
     }
 
     /// Writes all attributes and the node that places them.
-    fn attributes(&mut self, content: &TileContent, order: &Order) -> BTreeMap<String, u32> {
+    fn attributes(&mut self, content: &TileContent, order: &Order, scheme: &ClassScheme) -> BTreeMap<String, u32> {
         let mut attributes = BTreeMap::new();
         let of = |v: &u32| *v as usize;
         let position = self.positions(content, order);
@@ -179,7 +181,12 @@ impl Writer {
             attributes.insert("COLOR_0".into(), self.accessor(accessor));
         }
         // One byte in rows of four: attributes start at multiples of 4.
-        let rows: Vec<[u8; 4]> = order.vertices.iter().map(|v| [content.class_of_vertex[of(v)].0, 0, 0, 0]).collect();
+        let skirts_from = scheme.len() as u8;
+        let row = |v: &u32| {
+            let class = content.class_of_vertex[of(v)].0;
+            [if content.is_skirt(*v) { skirts_from + class } else { class }, 0, 0, 0]
+        };
+        let rows: Vec<[u8; 4]> = order.vertices.iter().map(row).collect();
         let accessor = self.attribute(&rows, "SCALAR", UNSIGNED_BYTE);
         attributes.insert("_FEATURE_ID_0".into(), self.accessor(accessor));
         attributes
@@ -242,13 +249,7 @@ impl Writer {
     }
 
     /// One primitive per range of indices; all share the vertices.
-    fn primitives(
-        &mut self,
-        order: &Order,
-        attributes: BTreeMap<String, u32>,
-        scheme: &ClassScheme,
-        options: &GlbOptions,
-    ) {
+    fn primitives(&mut self, order: &Order, attributes: BTreeMap<String, u32>, rows: usize, options: &GlbOptions) {
         // 65535 itself would restart the strip on some machines.
         let narrow = order.vertices.len() <= usize::from(u16::MAX);
         let mut primitives = Vec::new();
@@ -270,7 +271,7 @@ impl Writer {
                 ..Default::default()
             });
             let features = FeatureIds {
-                feature_count: scheme.len() as u32,
+                feature_count: rows as u32,
                 attribute: Some(0),
                 label: Some(FEATURE_LABEL.into()),
                 property_table: Some(0),
@@ -326,12 +327,14 @@ impl Writer {
         };
     }
 
-    /// The property table: row i is class i, with its enum value and its name.
-    fn classes(&mut self, scheme: &ClassScheme) {
-        let ids: Vec<u8> = scheme.ids().map(|c| c.0).collect();
-        let names: String = scheme.0.iter().map(|c| c.name.as_str()).collect();
+    /// The property table: row i is class i, with its enum value and its name; then the same for skirts.
+    fn classes(&mut self, scheme: &ClassScheme, rows: usize) {
+        let all = || scheme.0.iter().cycle().take(rows);
+        let ids: Vec<u8> = (0..rows).map(|row| (row % scheme.len()) as u8).collect();
+        let skirts: Vec<u8> = (0..rows).map(|row| u8::from(row >= scheme.len())).collect();
+        let names: String = all().map(|c| c.name.as_str()).collect();
         let mut ends = vec![0u32];
-        for class in &scheme.0 {
+        for class in all() {
             ends.push(ends[ends.len() - 1] + class.name.len() as u32);
         }
         let offsets: Vec<u8> = ends.iter().flat_map(|o| o.to_le_bytes()).collect();
@@ -341,14 +344,11 @@ impl Writer {
             string_offset_type: string_offsets.map(|_| "UINT32".into()),
         };
         let mut properties = BTreeMap::from([("class".to_string(), column(self.plain(&ids), None))]);
+        properties.insert("skirt".into(), column(self.plain(&skirts), None));
         let (names, offsets) = (self.plain(names.as_bytes()), self.plain(&offsets));
         properties.insert("name".into(), column(names, Some(offsets)));
-        let table = PropertyTable {
-            name: Some("classes".into()),
-            class: "feature".into(),
-            count: scheme.len() as u32,
-            properties,
-        };
+        let table =
+            PropertyTable { name: Some("classes".into()), class: "feature".into(), count: rows as u32, properties };
         let metadata = StructuralMetadata { schema: Some(feature_schema(scheme)), property_tables: vec![table] };
         self.gltf.extensions = Some(RootExtensions { structural_metadata: Some(metadata) });
     }
@@ -399,7 +399,14 @@ fn feature_schema(scheme: &ClassScheme) -> Schema {
         required: true,
         ..Default::default()
     };
-    let properties = BTreeMap::from([("class".into(), class), ("name".into(), name)]);
+    let skirt = Property {
+        description: Some("1: hides gaps between tiles and is no part of the surface; 0: surface".into()),
+        kind: "SCALAR".into(),
+        component_type: Some("UINT8".into()),
+        required: true,
+        ..Default::default()
+    };
+    let properties = BTreeMap::from([("class".into(), class), ("name".into(), name), ("skirt".into(), skirt)]);
     Schema {
         id: "rooftile_features".into(),
         description: None,

@@ -4,12 +4,17 @@
 
 mod content;
 pub mod glb;
+pub mod mesh;
+pub mod obj;
 pub mod output;
+pub mod painted;
+pub mod ply;
 pub mod tileset;
 
-pub use content::{TileContent, quantization_error_m};
+pub use content::{TileContent, quantization_error_m, quantization_error_of};
 pub use glb::{GlbOptions, glb};
 pub use output::Output;
+pub use ply::Ply;
 pub use tileset::{About, ClassError, TileEntry, tileset};
 
 /// What stands in `asset.generator`.

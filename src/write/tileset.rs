@@ -23,7 +23,7 @@ use crate::schema::tileset::{Asset, BoundingVolume, Content, Tile, Tileset};
 pub struct ClassError {
     /// Of which class.
     pub class: ClassId,
-    /// Deviation that was allowed.
+    /// Deviation allowed at the tile's scale.
     pub budget_m: f64,
     /// Certified two-sided bound.
     pub bound_m: f64,
@@ -35,8 +35,10 @@ pub struct ClassError {
     pub p95_m: f64,
     /// 99th percentile.
     pub p99_m: f64,
-    /// How far the tile sinks inside the true solid at most; negative where it stays outside.
+    /// How far the tile sinks inside the true solid at most, along its normals; negative where it stays outside.
     pub inside_m: f64,
+    /// How much lower than the source it is at most; negative where it stays above.
+    pub sunk_m: f64,
 }
 
 /// One tile of the tree, already written.
@@ -52,8 +54,16 @@ pub struct TileEntry {
     pub geometry_m: f64,
     /// Size of a texel on the ground, metres; 0 without texture.
     pub texel_m: f64,
-    /// Triangles in the content.
+    /// Scale t: every class's bound is within t times its budget. Not above the parent's.
+    pub scale: f64,
+    /// Its border on the walls of its cell and those of tiles that can stand beside it are no further apart, metres.
+    pub wall_m: f64,
+    /// Depth of its deepest skirt, metres.
+    pub skirt_m: f64,
+    /// Triangles of the surface in the content.
     pub triangles: u64,
+    /// Triangles of skirts in the content.
+    pub skirt_triangles: u64,
     /// Bytes of the content.
     pub bytes: u64,
     /// The classes in this tile, each at most once.
@@ -154,14 +164,21 @@ fn oriented_box(aabb: &Aabb) -> [f64; 12] {
 /// Suffix of a property id, what it means, and its value.
 type Measure = (&'static str, &'static str, fn(&ClassError) -> f64);
 
-const MEASURES: [Measure; 7] = [
-    ("Budget", "deviation allowed", |e| e.budget_m),
+const MEASURES: [Measure; 8] = [
+    ("Budget", "deviation allowed at the tile's scale", |e| e.budget_m),
     ("Bound", "certified two-sided bound of the deviation", |e| e.bound_m),
     ("Mean", "area-weighted mean deviation", |e| e.mean_m),
     ("Rms", "area-weighted root mean square deviation", |e| e.rms_m),
     ("P95", "95th percentile of the deviation", |e| e.p95_m),
     ("P99", "99th percentile of the deviation", |e| e.p99_m),
-    ("Inside", "how far the tile sinks inside the true solid at most, negative where it stays outside", |e| e.inside_m),
+    (
+        "Inside",
+        "certified bound of how far the tile sinks inside the source along its normals, negative where it stays outside",
+        |e| e.inside_m,
+    ),
+    ("Sunk", "certified bound of how much lower than the source the tile is, negative where it stays above", |e| {
+        e.sunk_m
+    }),
 ];
 
 fn tile_properties(entry: &TileEntry, prefixes: &[String]) -> BTreeMap<String, Value> {
@@ -170,6 +187,10 @@ fn tile_properties(entry: &TileEntry, prefixes: &[String]) -> BTreeMap<String, V
         ("texelSize".into(), json!(entry.texel_m)),
         ("level".into(), json!(entry.level)),
         ("triangles".into(), json!(entry.triangles)),
+        ("skirtTriangles".into(), json!(entry.skirt_triangles)),
+        ("scale".into(), json!(entry.scale)),
+        ("wallDeviation".into(), json!(entry.wall_m)),
+        ("skirtDepth".into(), json!(entry.skirt_m)),
     ]);
     for error in &entry.classes {
         for (suffix, _, value) in MEASURES {
@@ -191,11 +212,16 @@ fn schema(scheme: &ClassScheme, prefixes: &[String]) -> Schema {
         component_type: Some(component.into()),
         ..Default::default()
     };
+    let of_wall = "Certified distance of its border to those of all tiles that can stand beside it, both ways, metres";
     let mut of_tile = BTreeMap::from([
         ("geometryError".to_string(), scalar("FLOAT64", "Error of the geometry alone, metres".into())),
         ("texelSize".into(), scalar("FLOAT64", "Size of a texel on the surface, metres".into())),
         ("level".into(), scalar("UINT32", "Level of detail, 0 is the coarsest".into())),
-        ("triangles".into(), scalar("UINT32", "Number of triangles".into())),
+        ("triangles".into(), scalar("UINT32", "Number of triangles of the surface".into())),
+        ("skirtTriangles".into(), scalar("UINT32", "Number of triangles of skirts, no part of the surface".into())),
+        ("scale".into(), scalar("FLOAT64", "Every class is within this many times its budget".into())),
+        ("wallDeviation".into(), scalar("FLOAT64", of_wall.into())),
+        ("skirtDepth".into(), scalar("FLOAT64", "Depth of the deepest skirt, metres".into())),
     ]);
     for (id, prefix) in scheme.ids().zip(prefixes) {
         for (suffix, meaning, _) in MEASURES {
@@ -257,7 +283,11 @@ pub(crate) mod tests {
             geometric_error_m: error_m,
             geometry_m: error_m,
             texel_m: 0.0,
+            scale: 0.0,
+            wall_m: 0.0,
+            skirt_m: 0.0,
             triangles: 2,
+            skirt_triangles: 0,
             bytes: 0,
             classes: Vec::new(),
             level: 0,
@@ -284,6 +314,7 @@ pub(crate) mod tests {
             p95_m: nan,
             p99_m: nan,
             inside_m: -0.1,
+            sunk_m: nan,
         }];
         let written = serde_json::to_value(tileset(&root, &about(&scheme))).unwrap();
         let properties = &written["root"]["metadata"]["properties"];

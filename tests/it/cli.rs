@@ -123,7 +123,7 @@ fn json_is_one_object_on_standard_output_and_a_quiet_run_says_nothing_else() {
     assert_eq!(report["warnings"], serde_json::json!([]));
     let stages: Vec<&str> =
         report["stages"].as_array().expect("stages").iter().filter_map(|s| s["stage"].as_str()).collect();
-    assert_eq!(stages, ["input", "frame", "mesh", "cells", "classes", "collapse", "tiles"]);
+    assert_eq!(stages, ["input", "frame", "mesh", "cells", "classes", "collapse", "walls", "tiles"]);
     // Without --json nothing is data; without -q people are told a line a stage.
     let run = command().arg("build").arg(&house).arg("-o").arg(&out).arg("--force").output().expect("a run");
     let run = Run::from(run).wants(0);
@@ -328,4 +328,42 @@ fn an_output_is_whole_from_the_moment_it_is_there() {
     assert_eq!(run.end().0, Some(0));
     assert!(seen.len() > 10 && seen == files(&out), "the output grew after it had appeared: {:?}", seen.keys());
     assert_eq!(names(temp.path()), ["in", "out"]);
+}
+
+#[test]
+fn presets_are_defined_in_the_help_and_bad_budgets_and_skirts_are_usage_errors() {
+    let help = rooftile(["build", "--help"]).wants(0).stdout;
+    let flat = help.split_whitespace().collect::<Vec<_>>().join(" ");
+    for preset in &rooftile::preset::PRESETS {
+        for (key, value) in preset.settings {
+            assert!(flat.contains(&format!("{key}={value}")), "--help does not say {key}={value} of {}", preset.name);
+        }
+    }
+    for wrong in [
+        ["--budget", "dach=0.05"],
+        ["--budget", "roof=wide"],
+        ["--budget", "roof=-1"],
+        ["--budget", ""],
+        ["--skirts", "long"],
+        ["--skirts", "-1"],
+        ["--preset", "City"],
+    ] {
+        let run = rooftile(["build", "--dump-config"].into_iter().chain(wrong));
+        assert_eq!(run.code, 2, "{wrong:?}: {}", run.stderr);
+    }
+    let args = [
+        "build",
+        "--dump-config",
+        "--preset",
+        "flight",
+        "--set",
+        "budget.roof=2",
+        "--budget",
+        "roof=0.5",
+        "--skirts",
+        "0.25",
+    ];
+    let dumped = rooftile(args).wants(0).stdout;
+    assert!(dumped.contains("keep_tops = true") && dumped.contains("skirts = 0.25"), "{dumped}");
+    assert!(dumped.contains("budget_m = 0.5") && !dumped.contains("budget_m = 2"), "{dumped}");
 }

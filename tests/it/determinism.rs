@@ -27,7 +27,15 @@ fn built(out: &Path, threads: usize, compress: bool) -> BTreeMap<PathBuf, Option
     let mut config = Config::layered(None, &sets).expect("settings");
     config.write.compress = compress;
     let georeference = Georeference::parse("EPSG:25832").expect("a system").with_origin(glam::dvec3(566e3, 5.93e6, 0.));
-    let job = Job { out, force: false, config: &config, georeference, inputs: Vec::new(), labels_are_truth: false };
+    let job = Job {
+        out,
+        force: false,
+        config: &config,
+        georeference,
+        inputs: Vec::new(),
+        labels_are_truth: false,
+        labels: None,
+    };
     let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
     pool.install(|| pipeline::build(quarter(), &job, &Reporter::new(true))).expect("a build");
     files(out)

@@ -4,7 +4,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 /// Modules, and what they must not import; tests are exempt.
-const FORBIDDEN: [(&[&str], &[&str], &str); 9] = [
+const FORBIDDEN: [(&[&str], &[&str], &str); 11] = [
+    (
+        &["audit"],
+        &["write", "tiles", "pipeline", "texture", "cli"],
+        "the judge of anybody's tilesets knows nothing of the builder",
+    ),
     (
         &["planes", "classes", "collapse"],
         &["input", "tiles", "texture", "write", "pipeline", "cli", "serve", "inspect", "demo", "config"],
@@ -14,6 +19,14 @@ const FORBIDDEN: [(&[&str], &[&str], &str); 9] = [
         &["inspect", "serve"],
         &["write", "tiles", "pipeline", "texture", "collapse", "classes", "planes", "mesh", "cli"],
         "judges are strangers: they read published files",
+    ),
+    (
+        &["measure"],
+        &[
+            "input", "mesh", "planes", "classes", "collapse", "tiles", "texture", "write", "pipeline", "cli", "serve",
+            "inspect", "demo", "config",
+        ],
+        "the judge of surfaces knows nothing of what made them",
     ),
     (
         &["geo", "ids", "error", "report"],

@@ -66,6 +66,7 @@ pub enum Use {
     Uv,
     Color,
     Indices,
+    FeatureId,
 }
 
 impl Use {
@@ -76,6 +77,7 @@ impl Use {
             Self::Position => shape == "VEC3" && matches!(component, F32 | I8 | U8 | I16 | U16),
             Self::Uv => shape == "VEC2" && matches!(component, F32 | I8 | U8 | I16 | U16),
             Self::Color => matches!(shape, "VEC3" | "VEC4") && matches!(component, F32 | U8 | U16),
+            Self::FeatureId => shape == "SCALAR" && matches!(component, F32 | U8 | U16 | U32),
             Self::Indices => shape == "SCALAR" && matches!(component, U8 | U16 | U32),
         }
     }

@@ -12,12 +12,21 @@ use crate::input::InputConfig;
 use crate::input::path::referred;
 use crate::{Error, Result};
 
+/// Where the files are that a glTF names.
+#[derive(Clone, Copy)]
+pub enum Files<'a> {
+    /// On disk, beside the glTF.
+    Beside(&'a InputConfig),
+    /// Wherever the function finds them: in an archive, on a server. It is given the URI.
+    Given(&'a dyn Fn(&str) -> Result<Vec<u8>>),
+}
+
 /// Bytes of one glTF file. Every slice it gives out was checked against its buffer.
 pub struct Data<'a> {
     pub path: &'a Path,
     pub root: &'a Root,
     bin: Option<&'a [u8]>,
-    config: &'a InputConfig,
+    files: Files<'a>,
     buffers: Vec<OnceCell<Cow<'a, [u8]>>>,
     unpacked: Vec<OnceCell<Vec<u8>>>,
     loaded_bytes: Cell<u64>,
@@ -31,12 +40,12 @@ pub struct View<'a> {
 }
 
 impl<'a> Data<'a> {
-    pub fn new(path: &'a Path, root: &'a Root, bin: Option<&'a [u8]>, config: &'a InputConfig) -> Self {
+    pub fn new(path: &'a Path, root: &'a Root, bin: Option<&'a [u8]>, files: Files<'a>) -> Self {
         Self {
             path,
             root,
             bin,
-            config,
+            files,
             buffers: root.buffers.iter().map(|_| OnceCell::new()).collect(),
             unpacked: root.buffer_views.iter().map(|_| OnceCell::new()).collect(),
             loaded_bytes: Cell::new(0),
@@ -65,7 +74,10 @@ impl<'a> Data<'a> {
     pub fn resolve(&self, reference: &str) -> Result<PathBuf> {
         let decoded = uri::percent_decode(reference)
             .ok_or_else(|| self.refuse(format!("URI {:?} is not UTF-8 text after %-decoding", shorten(reference))))?;
-        referred(self.path, &decoded, self.config)
+        match self.files {
+            Files::Beside(config) => referred(self.path, &decoded, config),
+            Files::Given(_) => Err(self.refuse(format!("{:?} is no file of a folder", shorten(reference)))),
+        }
     }
 
     /// The checked bytes of buffer view `index`, unpacked if it is compressed.
@@ -140,6 +152,9 @@ impl<'a> Data<'a> {
     }
 
     fn read_file(&self, text: &str, wanted: u64, refuse: &dyn Fn(String) -> Error) -> Result<Vec<u8>> {
+        if let Files::Given(find) = self.files {
+            return find(text);
+        }
         let file_path = match self.resolve(text) {
             Err(Error::Io { .. }) => {
                 let what = format!("file {:?} cannot be found; put it beside the glTF", shorten(text));

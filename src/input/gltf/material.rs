@@ -75,7 +75,7 @@ impl<'a> Palette<'a> {
     }
 
     /// Linear base colour and base colour texture.
-    fn base(&self, index: Option<Int>) -> Result<([f64; 3], Option<&'a TextureInfo>)> {
+    pub fn base(&self, index: Option<Int>) -> Result<([f64; 3], Option<&'a TextureInfo>)> {
         let Some(index) = index else { return Ok(([1.0; 3], None)) };
         let material: &GltfMaterial = self.data.at(&self.data.root.materials, index, "material")?;
         let metallic = material.pbr_metallic_roughness.as_ref();

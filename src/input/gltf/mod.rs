@@ -24,7 +24,7 @@ use std::path::Path;
 
 use glam::DVec3;
 
-use self::data::Data;
+use self::data::{Data, Files};
 use self::material::Palette;
 use self::primitive::Builder;
 use self::schema::{Int, Root};
@@ -32,20 +32,20 @@ use crate::input::{InputConfig, Source};
 use crate::report::Reporter;
 use crate::{Error, Result};
 
-mod accessor;
-mod container;
-mod data;
-mod material;
+pub(crate) mod accessor;
+pub(crate) mod container;
+pub(crate) mod data;
+pub(crate) mod material;
 mod meshopt;
-mod primitive;
-mod scene;
-mod schema;
+pub(crate) mod primitive;
+pub(crate) mod scene;
+pub(crate) mod schema;
 #[cfg(test)]
 mod tests;
-mod uri;
+pub(crate) mod uri;
 
 /// Extensions a file may require: read, or without effect on shape and base colour.
-const KNOWN_EXTENSIONS: [&str; 20] = [
+pub(crate) const KNOWN_EXTENSIONS: [&str; 20] = [
     "CESIUM_RTC",
     "CESIUM_primitive_outline",
     "EXT_feature_metadata",
@@ -68,7 +68,7 @@ const KNOWN_EXTENSIONS: [&str; 20] = [
     "KHR_animation_pointer",
 ];
 /// All of these change how light falls on a surface, which is not read.
-const MATERIAL_EXTENSIONS: &str = "KHR_materials_";
+pub(crate) const MATERIAL_EXTENSIONS: &str = "KHR_materials_";
 
 /// Reads the glTF or GLB file at `path` into `source`.
 ///
@@ -87,7 +87,7 @@ pub fn read(path: &Path, config: &InputConfig, reporter: &Reporter, source: &mut
     check_version(path, &root)?;
     check_extensions(path, &root)?;
 
-    let data = Data::new(path, &root, container.bin, config);
+    let data = Data::new(path, &root, container.bin, Files::Beside(config));
     let center = root.extensions.cesium_rtc.as_ref().map_or(DVec3::ZERO, |rtc| DVec3::from_array(rtc.center));
     let palette = Palette::new(&data, reporter);
     let mut builder = Builder { data: &data, palette, reporter, center, corners: 0 };

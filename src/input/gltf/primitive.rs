@@ -83,7 +83,7 @@ impl<'a> Builder<'a> {
     }
 
     /// Counts work done against what the buffers read so far can honestly ask for.
-    fn charge(&mut self, corners: u64) -> Result<()> {
+    pub fn charge(&mut self, corners: u64) -> Result<()> {
         self.corners = self.corners.saturating_add(corners);
         let limit = self.data.loaded_bytes().saturating_add(MAX_REPEATED_CORNERS);
         if self.corners > limit {
@@ -94,7 +94,7 @@ impl<'a> Builder<'a> {
     }
 
     /// Triangles as indices below the vertex count, in the winding of the file.
-    fn faces(&mut self, primitive: &Primitive, mode: u64, positions: &Elements<'_>) -> Result<Vec<[u32; 3]>> {
+    pub fn faces(&mut self, primitive: &Primitive, mode: u64, positions: &Elements<'_>) -> Result<Vec<[u32; 3]>> {
         let data = self.data;
         let indices = primitive.indices.map(|index| Elements::of(data, index, Use::Indices)).transpose()?;
         let corners = indices.as_ref().map_or(positions.count, |indices| indices.count);
@@ -165,7 +165,7 @@ impl<'a> Builder<'a> {
         Ok(uvs)
     }
 
-    fn attribute(&self, primitive: &Primitive, name: &str, usage: Use, count: u64) -> Result<Option<Elements<'a>>> {
+    pub fn attribute(&self, primitive: &Primitive, name: &str, usage: Use, count: u64) -> Result<Option<Elements<'a>>> {
         let Some(&index) = primitive.attributes.get(name) else { return Ok(None) };
         let elements = Elements::of(self.data, index, usage)?;
         if elements.count < count {
@@ -196,7 +196,7 @@ impl<'a> Builder<'a> {
 }
 
 /// `KHR_texture_transform`: scale, then rotation (counter-clockwise as seen, with v down), then offset.
-fn moved([u, v]: [f64; 2], transform: Option<TextureTransform>) -> Vec2 {
+pub fn moved([u, v]: [f64; 2], transform: Option<TextureTransform>) -> Vec2 {
     let Some(transform) = transform else { return Vec2::new(u as f32, v as f32) };
     let [scale_u, scale_v] = transform.scale.unwrap_or([1.0; 2]);
     let [offset_u, offset_v] = transform.offset.unwrap_or_default();
@@ -208,7 +208,7 @@ fn moved([u, v]: [f64; 2], transform: Option<TextureTransform>) -> Vec2 {
 /// The vertices `faces` use, ascending, and the faces in terms of their ranks.
 ///
 /// Exporters put many primitives into one vertex buffer; only what a primitive uses is looked at.
-fn compact(faces: &[[u32; 3]]) -> (Vec<u32>, Vec<[u32; 3]>) {
+pub fn compact(faces: &[[u32; 3]]) -> (Vec<u32>, Vec<[u32; 3]>) {
     /// A table over the range of indices is faster than sorting them unless it is this much larger than they are.
     const MAX_TABLE_RATIO: usize = 8;
     let corners = faces.as_flattened();

@@ -6,6 +6,7 @@ use std::collections::BTreeMap;
 
 use serde::Deserialize;
 use serde::de::IgnoredAny;
+use serde_json::Value;
 
 /// A non-negative integer; glTF allows it to be written as `3.0` or `3e0`.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
@@ -50,6 +51,8 @@ pub struct Root {
 pub struct RootExtensions {
     #[serde(rename = "CESIUM_RTC")]
     pub cesium_rtc: Option<Rtc>,
+    #[serde(rename = "EXT_structural_metadata")]
+    pub structural_metadata: Option<Value>,
 }
 
 #[derive(Debug, Deserialize)]
@@ -111,7 +114,16 @@ pub struct Primitive {
 #[serde(default)]
 pub struct PrimitiveExtensions {
     #[serde(rename = "KHR_draco_mesh_compression")]
-    pub draco: Option<IgnoredAny>,
+    pub draco: Option<Draco>,
+    #[serde(rename = "EXT_mesh_features")]
+    pub mesh_features: Option<Value>,
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+pub struct Draco {
+    pub buffer_view: Option<Int>,
+    pub attributes: BTreeMap<String, Int>,
 }
 
 #[derive(Debug, Default, Deserialize)]
@@ -179,6 +191,8 @@ pub struct Texture {
 pub struct TextureExtensions {
     #[serde(rename = "EXT_texture_webp")]
     pub webp: Option<TextureSource>,
+    #[serde(rename = "KHR_texture_basisu")]
+    pub basisu: Option<TextureSource>,
 }
 
 #[derive(Debug, Default, Deserialize)]

@@ -7,7 +7,10 @@ use serde_json::Value;
 pub struct Tile {
     /// In the tileset's frame: z up, metres.
     pub positions: Vec<DVec3>,
+    /// The surface.
     pub faces: Vec<[u32; 3]>,
+    /// What hides gaps and is no part of the surface.
+    pub skirts: Vec<[u32; 3]>,
     /// Per vertex.
     pub feature_ids: Vec<u32>,
     /// Draw calls.
@@ -49,7 +52,9 @@ pub fn read(bytes: &[u8]) -> Tile {
         faces.extend(corners.chunks_exact(3).map(|c| [c[0], c[1], c[2]]));
     }
     let primitives = primitives.len();
-    Tile { positions, faces, feature_ids, primitives, json }
+    // The city has four classes; rows after these are skirts of the same classes.
+    let (skirts, faces) = faces.into_iter().partition(|f: &[u32; 3]| feature_ids[f[0] as usize] >= 4);
+    Tile { positions, faces, skirts, feature_ids, primitives, json }
 }
 
 fn index(value: &Value) -> usize {

@@ -31,6 +31,8 @@ pub struct Node {
     pub level: u64,
     /// Certified error of the geometry, metres, from the tile's metadata.
     pub geometry_m: f64,
+    /// All of its metadata.
+    pub properties: Value,
     pub parent: Option<usize>,
     pub is_leaf: bool,
     pub tile: Tile,
@@ -57,14 +59,21 @@ pub fn city() -> &'static City {
 /// The tileset; built at the first call.
 pub fn town() -> &'static Town {
     static TOWN: OnceLock<Town> = OnceLock::new();
-    TOWN.get_or_init(make)
+    TOWN.get_or_init(|| make("town", &[]))
 }
 
-fn make() -> Town {
-    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("town");
+/// The same city with roofs and façades kept; built at the first call.
+pub fn flight_town() -> &'static Town {
+    static TOWN: OnceLock<Town> = OnceLock::new();
+    TOWN.get_or_init(|| make("flight", &["--preset", "flight"]))
+}
+
+fn make(name: &str, more: &[&str]) -> Town {
+    let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
     let _ = std::fs::remove_dir_all(&folder);
     let mut args = vec!["demo", "--json", "-q", "-o", folder.to_str().expect("a path in UTF-8")];
     SETTINGS.iter().for_each(|set| args.extend(["--set", set]));
+    args.extend(more);
     let run = rooftile(args).wants(0);
 
     let read = |name: &str| -> Value {
@@ -100,6 +109,7 @@ fn walk(folder: &Path, tile: &Value, parent: Option<usize>, nodes: &mut Vec<Node
         half: DVec3::new(volume[3], volume[7], volume[11]),
         level: properties["level"].as_u64().expect("a level"),
         geometry_m: properties["geometryError"].as_f64().expect("an error"),
+        properties: properties.clone(),
         parent,
         is_leaf: tile["children"].as_array().is_none_or(Vec::is_empty),
         tile: glb::read(&std::fs::read(folder.join(&uri)).expect("the content is there")),
@@ -110,7 +120,30 @@ fn walk(folder: &Path, tile: &Value, parent: Option<usize>, nodes: &mut Vec<Node
     }
 }
 
+impl Node {
+    /// A number from its metadata.
+    pub fn number(&self, id: &str) -> Option<f64> {
+        self.properties[id].as_f64()
+    }
+}
+
 impl Town {
+    /// A tileset of which nothing else is known: its leaves stand for its source.
+    pub fn of_leaves(folder: &Path, run: Run) -> Self {
+        let json = std::fs::read(folder.join("tileset.json")).expect("a file");
+        let tileset: Value = serde_json::from_slice(&json).expect("JSON");
+        let mut nodes = Vec::new();
+        walk(folder, &tileset["root"], None, &mut nodes);
+        let mut town = Self { folder: folder.to_path_buf(), run, nodes, positions: Vec::new(), faces: Vec::new() };
+        (town.positions, town.faces) = town.joined(&town.leaves(0));
+        town
+    }
+
+    /// All parents of a tile.
+    pub fn ancestors(&self, node: usize) -> Vec<usize> {
+        std::iter::successors(self.nodes[node].parent, |&n| self.nodes[n].parent).collect()
+    }
+
     /// The leaves below a tile; itself if it is one.
     pub fn leaves(&self, node: usize) -> Vec<usize> {
         let is_below = |mut at: usize| loop {

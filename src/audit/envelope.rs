@@ -1,0 +1,369 @@
+//! Obstacles: how far a tile's upper envelope sinks below the true top, and what is lost altogether.
+//!
+//! In: a tile and its reference. Out: an [`EnvelopeTile`]; an [`EnvelopeRow`] for each level and class.
+//!
+//! # Method
+//! 1. the highest point of each surface over every cell of a plan grid (triangles are cut to cells: walls and thin
+//!    poles count)
+//! 2. sinking: the reference's top less the tile's highest top within one cell around, never below 0
+//! 3. cells that sink by more than the limit, joined where they touch: an obstacle lost
+//! 4. lateral erosion: of cells that sink where they are, how far off the tile is high enough
+//!
+//! # Numbers
+//! This is *tiling* error alone: what simplification did to the reference. The error of the survey comes on top. The
+//! Annex 15 figures are vertical accuracies of obstacle data at 90 %, as a yardstick; meeting a number is not approval.
+//!
+//! # Limits
+//! Cells grow where a tile has more than [`MOST_CELLS`] of them; the row says how large the largest were.
+
+use glam::DVec3;
+use serde::Serialize;
+
+use super::cover::{ClassNames, Shown};
+use crate::geo::Aabb;
+use crate::ids::ClassId;
+use crate::measure::Surface;
+
+/// Side of a cell, metres.
+pub const CELL_M: f64 = 0.25;
+/// Cells of one tile at most.
+pub const MOST_CELLS: usize = 16_000_000;
+/// Lateral erosion is looked for this many cells away.
+const MOST_RINGS: i64 = 20;
+/// Heights are counted in steps of a centimetre.
+const BIN_M: f64 = 0.01;
+/// Of 100 m in all; what sinks by more counts as that.
+const BINS: usize = 10_000;
+/// Obstacles kept of each tile, the largest sinking first.
+const MOST_LOST: usize = 20;
+
+/// ICAO Annex 15, obstacle data: area, vertical accuracy at 90 %, horizontal accuracy at 90 %, metres.
+pub const ANNEX_15_M: [(&str, f64, f64); 4] =
+    [("area 1", 30.0, 50.0), ("area 2", 3.0, 5.0), ("area 3", 0.5, 0.5), ("area 4", 1.0, 2.5)];
+
+/// Something that stood there and does not in the tile.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Lost {
+    /// Its highest cell sinks by, metres.
+    pub sink_m: f64,
+    /// Its area on the plan, m².
+    pub area_m2: f64,
+    /// The top of its highest cell in the local frame.
+    pub local_m: [f64; 3],
+    /// The class there, by name.
+    pub class: String,
+}
+
+/// One tile's envelope.
+#[derive(Debug, Clone)]
+pub struct EnvelopeTile {
+    /// Index of the tile.
+    pub tile: usize,
+    /// Tiles with content above.
+    pub level: u32,
+    /// The largest first.
+    pub lost: Vec<Lost>,
+    /// How many were found.
+    pub lost_count: usize,
+    cell_m: f64,
+    by_class: Vec<(ClassId, Sinking)>,
+}
+
+/// Counts of heights.
+#[derive(Debug, Clone, Default)]
+struct Sinking {
+    cells: u64,
+    uncovered: u64,
+    bins: Vec<u32>,
+    most_m: f64,
+    erosion_m: Vec<f32>,
+}
+
+/// The tiles of a level, in all or of one class.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct EnvelopeRow {
+    /// Tiles with content above.
+    pub level: u32,
+    /// The class's name; `all`.
+    pub class: String,
+    /// Largest side of a cell, metres.
+    pub cell_m: f64,
+    /// Plan area looked at, m².
+    pub area_m2: f64,
+    /// Of it, without anything in the tile within a cell, m².
+    pub uncovered_m2: f64,
+    /// 90 % of the area sinks by less, metres.
+    pub sink_le90_m: f64,
+    /// 99.9 % of the area sinks by less, metres.
+    pub sink_p999_m: f64,
+    /// The most.
+    pub sink_max_m: f64,
+    /// Of what sinks by more than the limit where it is: 95 % have the height within this distance, metres.
+    pub erosion_p95_m: f64,
+    /// The most, as far as was looked.
+    pub erosion_max_m: f64,
+    /// Obstacles lost: joined cells that sink by more than the limit.
+    pub obstacles_lost: u64,
+    /// Annex 15 areas whose vertical figure is not below `sink_le90_m`: a yardstick, not a finding of fitness.
+    pub annex_15_vertical_figure_met: Vec<&'static str>,
+}
+
+/// A plan grid.
+struct Grid {
+    low: [f64; 2],
+    size: [usize; 2],
+    cell_m: f64,
+}
+
+impl Grid {
+    fn over(aabb: Aabb) -> Self {
+        let mut cell_m = CELL_M;
+        loop {
+            let size = aabb.plan().size();
+            let count = |d: f64| (d / cell_m).floor().max(0.0) + 1.0;
+            if count(size.x) * count(size.y) <= MOST_CELLS as f64 || !size.is_finite() {
+                let size = [count(size.x), count(size.y)].map(|n| n.min(MOST_CELLS as f64) as usize);
+                return Self { low: [aabb.min.x, aabb.min.y], size, cell_m };
+            }
+            cell_m *= 2.0;
+        }
+    }
+
+    /// The highest point of `surface` over each cell, and the face it is on.
+    fn tops(&self, surface: &Surface) -> (Vec<f32>, Vec<u32>) {
+        let cells = self.size[0] * self.size[1];
+        let (mut top, mut face_at) = (vec![f32::NEG_INFINITY; cells], vec![u32::MAX; cells]);
+        let cell = |axis: usize, x: f64| {
+            (((x - self.low[axis]) / self.cell_m).floor().max(0.0) as usize).min(self.size[axis] - 1)
+        };
+        let (mut row, mut piece) = (Vec::new(), Vec::new());
+        for (f, face) in surface.faces.iter().enumerate() {
+            let corners = face.map(|v| surface.positions[v as usize]);
+            let ends = |points: &[DVec3], axis: usize| {
+                points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p[axis]), h.max(p[axis])))
+            };
+            let (low, high) = ends(&corners, 1);
+            for j in cell(1, low)..=cell(1, high) {
+                self.slice(&corners, 1, j, &mut row);
+                if row.is_empty() {
+                    continue;
+                }
+                let (low, high) = ends(&row, 0);
+                for i in cell(0, low)..=cell(0, high) {
+                    self.slice(&row, 0, i, &mut piece);
+                    let z = piece.iter().map(|p| p.z).fold(f64::NEG_INFINITY, f64::max) as f32;
+                    let at = j * self.size[0] + i;
+                    if z > top[at] {
+                        (top[at], face_at[at]) = (z, f as u32);
+                    }
+                }
+            }
+        }
+        (top, face_at)
+    }
+
+    /// The part of a polygon between two grid lines.
+    fn slice(&self, polygon: &[DVec3], axis: usize, index: usize, into: &mut Vec<DVec3>) {
+        let low = self.low[axis] + index as f64 * self.cell_m;
+        let mut half = Vec::with_capacity(8);
+        cut(polygon, axis, low, 1.0, &mut half);
+        into.clear();
+        // The last cell keeps what rounding left beyond it.
+        if index + 1 == self.size[axis] { into.extend(half) } else { cut(&half, axis, low + self.cell_m, -1.0, into) }
+    }
+}
+
+fn cut(polygon: &[DVec3], axis: usize, limit: f64, sign: f64, into: &mut Vec<DVec3>) {
+    for (i, p) in polygon.iter().enumerate() {
+        let q = &polygon[(i + 1) % polygon.len()];
+        let (of_p, of_q) = ((p[axis] - limit) * sign, (q[axis] - limit) * sign);
+        if of_p >= 0.0 {
+            into.push(*p);
+        }
+        if (of_p < 0.0) != (of_q < 0.0) {
+            into.push(*p + (*q - *p) * (of_p / (of_p - of_q)));
+        }
+    }
+}
+
+impl EnvelopeTile {
+    /// Compares what stands out of a tile with what stands out of its reference.
+    pub fn of(tile: usize, level: u32, shown: &Shown, reference: &Shown, names: &ClassNames, safe_m: f64) -> Self {
+        let grid = Grid::over(reference.aabb);
+        let (top, face_at) = grid.tops(&reference.surface);
+        let (own, _) = grid.tops(&shown.surface);
+        let [width, height] = grid.size;
+        let around = |at: usize, ring: i64| {
+            let (x, y) = ((at % width) as i64, (at / width) as i64);
+            let rows = (y - ring).max(0)..=(y + ring).min(height as i64 - 1);
+            let columns = (x - ring).max(0)..=(x + ring).min(width as i64 - 1);
+            rows.flat_map(move |y| columns.clone().map(move |x| y as usize * width + x as usize))
+        };
+        let highest = |at: usize, ring: i64| around(at, ring).map(|i| own[i]).fold(f32::NEG_INFINITY, f32::max);
+        let mut by_class = std::collections::BTreeMap::<ClassId, Sinking>::new();
+        let mut sunk = vec![0.0f32; top.len()];
+        let class_of = |at: usize| match &reference.surface.class {
+            Some(class) => class.get(face_at[at] as usize).copied().unwrap_or(ClassNames::UNKNOWN),
+            None => ClassNames::UNKNOWN,
+        };
+        for at in (0..top.len()).filter(|&at| face_at[at] != u32::MAX) {
+            let of_class = by_class.entry(class_of(at)).or_default();
+            of_class.bins.resize(BINS, 0);
+            of_class.cells += 1;
+            let near = highest(at, 1);
+            if near == f32::NEG_INFINITY {
+                of_class.uncovered += 1;
+                continue;
+            }
+            let sink_m = f64::from(top[at] - near).max(0.0);
+            sunk[at] = sink_m as f32;
+            of_class.most_m = of_class.most_m.max(sink_m);
+            of_class.bins[((sink_m / BIN_M) as usize).min(BINS - 1)] += 1;
+            let enough = top[at] - safe_m as f32;
+            if own[at] < enough {
+                let ring = (1..=MOST_RINGS).find(|&ring| highest(at, ring) >= enough).unwrap_or(MOST_RINGS);
+                of_class.erosion_m.push((ring as f64 * grid.cell_m) as f32);
+            }
+        }
+        let mut lost = Vec::new();
+        let mut open = Vec::new();
+        for start in 0..sunk.len() {
+            if f64::from(sunk[start]) <= safe_m {
+                continue;
+            }
+            let (mut cells, mut worst, mut worst_m) = (0u64, start, 0.0f32);
+            open.push((start, std::mem::take(&mut sunk[start])));
+            while let Some((at, sink_m)) = open.pop() {
+                cells += 1;
+                if sink_m > worst_m {
+                    (worst, worst_m) = (at, sink_m);
+                }
+                for next in around(at, 1) {
+                    if f64::from(sunk[next]) > safe_m {
+                        open.push((next, std::mem::take(&mut sunk[next])));
+                    }
+                }
+            }
+            let middle = |axis: usize, i: usize| grid.low[axis] + (i as f64 + 0.5) * grid.cell_m;
+            lost.push(Lost {
+                sink_m: f64::from(worst_m),
+                area_m2: cells as f64 * grid.cell_m * grid.cell_m,
+                local_m: [middle(0, worst % width), middle(1, worst / width), f64::from(top[worst])],
+                class: names.name(class_of(worst)).into(),
+            });
+        }
+        lost.sort_by(|a, b| b.sink_m.total_cmp(&a.sink_m));
+        let lost_count = lost.len();
+        lost.truncate(MOST_LOST);
+        Self { tile, level, lost, lost_count, cell_m: grid.cell_m, by_class: by_class.into_iter().collect() }
+    }
+}
+
+/// One row for all and one for each class of each level.
+pub fn rows(tiles: &[EnvelopeTile], names: &ClassNames) -> Vec<EnvelopeRow> {
+    let mut keys: Vec<(u32, Option<ClassId>)> = Vec::new();
+    for tile in tiles {
+        keys.push((tile.level, None));
+        keys.extend(tile.by_class.iter().map(|(class, _)| (tile.level, Some(*class))));
+    }
+    keys.sort_unstable();
+    keys.dedup();
+    let rows = keys.into_iter().map(|(level, class)| {
+        let of_level: Vec<&EnvelopeTile> = tiles.iter().filter(|t| t.level == level).collect();
+        let parts: Vec<(f64, &Sinking)> = of_level
+            .iter()
+            .flat_map(|t| t.by_class.iter().map(|(c, s)| (t.cell_m, c, s)))
+            .filter(|(_, c, _)| class.is_none_or(|wanted| wanted == **c))
+            .map(|(cell_m, _, s)| (cell_m, s))
+            .collect();
+        let name = class.map_or("all".to_string(), |c| names.name(c).to_string());
+        let lost = of_level.iter().map(|t| match class {
+            None => t.lost_count as u64,
+            Some(_) => t.lost.iter().filter(|l| l.class == name).count() as u64,
+        });
+        row(level, name.clone(), &parts, lost.sum())
+    });
+    rows.collect()
+}
+
+fn row(level: u32, class: String, parts: &[(f64, &Sinking)], obstacles_lost: u64) -> EnvelopeRow {
+    let area = |of: fn(&Sinking) -> u64| parts.iter().map(|(cell, s)| of(s) as f64 * cell * cell).sum::<f64>();
+    let covered = area(|s| s.cells - s.uncovered);
+    let most_m = parts.iter().map(|(_, s)| s.most_m).fold(0.0, f64::max);
+    let quantile = |q: f64| {
+        let mut below = 0.0;
+        let mut bins = (0..BINS).filter(|&bin| {
+            below += parts.iter().map(|(cell, s)| f64::from(s.bins[bin]) * cell * cell).sum::<f64>();
+            below >= q * covered
+        });
+        bins.next().map_or(0.0, |bin| ((bin + 1) as f64 * BIN_M).min(most_m))
+    };
+    let mut erosion: Vec<f32> = parts.iter().flat_map(|(_, s)| s.erosion_m.iter().copied()).collect();
+    erosion.sort_by(f32::total_cmp);
+    let p95 = erosion.get((erosion.len() as f64 * 0.95) as usize).or(erosion.last());
+    let sink_le90_m = quantile(0.9);
+    EnvelopeRow {
+        level,
+        class,
+        cell_m: parts.iter().map(|(cell, _)| *cell).fold(0.0, f64::max),
+        area_m2: area(|s| s.cells),
+        uncovered_m2: area(|s| s.uncovered),
+        sink_le90_m,
+        sink_p999_m: quantile(0.999),
+        sink_max_m: most_m,
+        erosion_p95_m: p95.copied().map_or(0.0, f64::from),
+        erosion_max_m: erosion.last().copied().map_or(0.0, f64::from),
+        obstacles_lost,
+        annex_15_vertical_figure_met: ANNEX_15_M
+            .iter()
+            .filter(|(_, vertical_m, _)| sink_le90_m <= *vertical_m)
+            .map(|(name, _, _)| *name)
+            .collect(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A square of 10 m at height 0; with a post of 0.1 m and `height` in its middle.
+    fn square(height: Option<f64>) -> Shown {
+        let at = |x: f64, y: f64, z: f64| DVec3::new(x, y, z);
+        let mut surface = Surface {
+            positions: vec![at(0.0, 0.0, 0.0), at(10.0, 0.0, 0.0), at(10.0, 10.0, 0.0), at(0.0, 10.0, 0.0)],
+            faces: vec![[0, 1, 2], [0, 2, 3]],
+            class: None,
+        };
+        if let Some(z) = height {
+            surface.positions.extend([at(5.05, 5.05, 0.0), at(5.15, 5.05, 0.0), at(5.1, 5.1, z)]);
+            surface.faces.push([4, 5, 6]);
+        }
+        let aabb = Aabb::of(surface.positions.iter().copied());
+        Shown { surface, aabb, refused: None }
+    }
+
+    #[test]
+    fn a_thin_post_that_is_gone_is_an_obstacle_lost() {
+        let names = ClassNames::default();
+        let of = |tile: &Shown, safe_m| EnvelopeTile::of(0, 0, tile, &square(Some(3.0)), &names, safe_m);
+        let found = of(&square(None), 1.0);
+        assert_eq!(found.lost_count, 1);
+        assert!((found.lost[0].sink_m - 3.0).abs() < 1e-6, "{:?}", found.lost);
+        assert_eq!(of(&square(None), 3.5).lost_count, 0);
+        assert_eq!(of(&square(Some(2.5)), 1.0).lost_count, 0);
+        let rows = rows(&[found], &names);
+        assert!(rows[0].sink_le90_m <= 0.01 && (rows[0].sink_max_m - 3.0).abs() < 1e-6, "{rows:?}");
+        assert_eq!(rows[0].annex_15_vertical_figure_met.len(), 4, "90 % of the area is right: a yardstick only");
+        assert!((rows[0].erosion_max_m - 5.0).abs() < 1e-6, "nowhere near is anything as high");
+    }
+
+    #[test]
+    fn a_post_moved_by_a_cell_is_eroded_and_not_lost() {
+        let mut moved = square(Some(3.0));
+        moved.surface.positions[4..].iter_mut().for_each(|p| p.x += 0.25);
+        let found = EnvelopeTile::of(0, 0, &moved, &square(Some(3.0)), &ClassNames::default(), 1.0);
+        assert_eq!(found.lost_count, 0);
+        let rows = rows(&[found], &ClassNames::default());
+        assert!((rows[0].erosion_max_m - 0.25).abs() < 1e-6, "{rows:?}");
+    }
+}

@@ -1,0 +1,401 @@
+//! Seams between tiles: border edges that do not meet their neighbour's, and how wide the gaps are.
+//!
+//! In: the [`Border`] of every tile, taken while it is loaded. Out: a [`SeamRow`] for each level and pair of levels.
+//!
+//! # Method
+//! 1. an edge that one face only uses is border; vertices are joined where they are equal to the last bit
+//! 2. two tiles are neighbours if the boxes of their triangles touch; their seam is where these overlap
+//! 3. each border vertex in the seam (or between two that are) to the nearest border edge of the neighbour: the gap;
+//!    a vertex that meets one neighbour is not held against another
+//!
+//! # Limits
+//! A vertex further than [`SeamConfig::reach_m`] from the neighbour's border has no partner and does not count: the
+//! outer border of a dataset, and tiles that overlap. Skirts hide gaps from above; they are measured all the same.
+
+use std::collections::HashMap;
+
+use glam::DVec3;
+use rayon::prelude::*;
+use serde::Serialize;
+
+use super::cover::Cover;
+use super::read::Tileset;
+use crate::geo::Aabb;
+use crate::geo::bvh::Bvh;
+use crate::measure::Surface;
+
+/// From where on borders do not meet.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SeamConfig {
+    /// Border edges this near to the neighbour's match, metres. Default: 0.005, for quantized coordinates.
+    pub match_m: f64,
+    /// A wider gap between tiles of one level is a crack, metres. Default: 0.02.
+    pub crack_m: f64,
+    /// Border vertices further from the neighbour's border are no part of the seam, metres. Default: 1.
+    pub reach_m: f64,
+}
+
+impl Default for SeamConfig {
+    fn default() -> Self {
+        Self { match_m: 0.005, crack_m: 0.02, reach_m: 1.0 }
+    }
+}
+
+/// The seam is this much thicker than the overlap of the boxes, metres.
+const THICKER_M: f64 = 0.01;
+
+/// A vertex between two in the seam belongs to it if it is no further off, metres; beyond that it is an ear of its tile.
+const MOVED_M: f64 = 0.25;
+
+/// The border of a tile.
+#[derive(Debug, Clone, Default)]
+pub struct Border {
+    points: Vec<DVec3>,
+    edges: Vec<[u32; 2]>,
+    aabb: Aabb,
+}
+
+impl Border {
+    /// Of a tile's triangles.
+    pub fn of(surface: &Surface, aabb: Aabb) -> Self {
+        let mut ids: HashMap<[u64; 3], u32> = HashMap::with_capacity(surface.positions.len());
+        let mut points = Vec::new();
+        let mut id = |p: DVec3| {
+            *ids.entry((p + 0.0).to_array().map(f64::to_bits)).or_insert_with(|| {
+                points.push(p);
+                points.len() as u32 - 1
+            })
+        };
+        let mut uses: Vec<[u32; 2]> = Vec::with_capacity(3 * surface.faces.len());
+        for face in &surface.faces {
+            let [a, b, c] = face.map(|v| id(surface.positions[v as usize]));
+            if a != b && b != c && c != a {
+                uses.extend([[a, b], [b, c], [c, a]].map(|[a, b]| [a.min(b), a.max(b)]));
+            }
+        }
+        uses.par_sort_unstable();
+        let edges: Vec<[u32; 2]> = uses.chunk_by(|a, b| a == b).filter(|g| g.len() == 1).map(|g| g[0]).collect();
+        let mut kept = vec![u32::MAX; points.len()];
+        let mut own = Self { points: Vec::new(), edges: Vec::new(), aabb };
+        for edge in edges {
+            own.edges.push(edge.map(|v| {
+                if kept[v as usize] == u32::MAX {
+                    kept[v as usize] = own.points.len() as u32;
+                    own.points.push(points[v as usize]);
+                }
+                kept[v as usize]
+            }));
+        }
+        own
+    }
+
+    /// Border edges.
+    pub fn len(&self) -> usize {
+        self.edges.len()
+    }
+
+    /// True for closed surfaces.
+    pub fn is_empty(&self) -> bool {
+        self.edges.is_empty()
+    }
+}
+
+/// Which tiles meet.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Between {
+    /// Two of one level that have finer ones.
+    #[default]
+    Level,
+    /// Two of different levels, or a finest tile and one that has finer ones.
+    Levels,
+    /// Two of the finest tiles: the surface itself.
+    Finest,
+}
+
+/// Gaps between the tiles of one level, or of a level and the next finer one.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct SeamRow {
+    /// Which tiles meet.
+    pub between: Between,
+    /// Of the coarser tiles; of the finest tiles 0.
+    pub level: u32,
+    /// Of the finer tiles.
+    pub finer_level: u32,
+    /// Pairs of neighbours with a seam.
+    pub pairs: u64,
+    /// Border edges in seams.
+    pub edges: u64,
+    /// Of these, edges that do not match.
+    pub unmatched_edges: u64,
+    /// Half of the border vertices have a smaller gap, metres.
+    pub gap_p50_m: f64,
+    /// 95 % have a smaller gap.
+    pub gap_p95_m: f64,
+    /// The widest gap.
+    pub gap_max_m: f64,
+}
+
+impl SeamRow {
+    /// For people.
+    pub fn name(&self) -> String {
+        match self.between {
+            Between::Finest => "between the finest tiles".into(),
+            Between::Level => format!("within level {}", self.level),
+            Between::Levels if self.level == self.finer_level => format!("of level {} with finest tiles", self.level),
+            Between::Levels => format!("of levels {} and {}", self.level, self.finer_level),
+        }
+    }
+}
+
+/// The widest gap of a pair of tiles.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Crack {
+    /// Whose border vertex it is.
+    pub tile: usize,
+    /// The neighbour.
+    pub neighbour: usize,
+    /// Width, metres.
+    pub gap_m: f64,
+    /// Place in the local frame.
+    pub local_m: [f64; 3],
+    /// Border edges of the pair that do not match.
+    pub unmatched_edges: u64,
+}
+
+/// All seams.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Seams {
+    /// Within levels and across, the coarsest first.
+    pub rows: Vec<SeamRow>,
+    /// Cracks within levels and within the finest surface, the widest first.
+    pub cracks: Vec<Crack>,
+    /// Across levels, wider than the coarser tile's stated error; the widest first.
+    pub cracks_across: Vec<Crack>,
+}
+
+/// What one border finds at another.
+#[derive(Default)]
+struct Found {
+    gaps: Vec<f64>,
+    edges: u64,
+    unmatched: u64,
+    worst: Option<(f64, DVec3)>,
+}
+
+/// Measures all seams; `borders` by tile, empty for tiles that were not read.
+pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Seams {
+    let levels: Vec<u32> = (0..borders.len()).map(|tile| tileset.level(tile)).collect();
+    let cover = Cover::of(tileset);
+    let between = |a: usize, b: usize| match (cover.has_finer(a), cover.has_finer(b)) {
+        (false, false) => Some(Between::Finest),
+        (true, true) if levels[a] == levels[b] => Some(Between::Level),
+        _ => (levels[a].abs_diff(levels[b]) <= 1).then_some(Between::Levels),
+    };
+    let pairs = neighbours(tileset, borders, &between);
+    let trees: Vec<Option<Bvh>> = borders.par_iter().map(tree).collect();
+    let met = met(borders, &trees, &pairs, config);
+    let found: Vec<([usize; 2], [Found; 2])> = pairs
+        .into_par_iter()
+        .map(|[a, b]| {
+            let one = |a: usize, b: usize| gaps(&borders[a], &met[a], &borders[b], trees[b].as_ref(), config);
+            ([a, b], [one(a, b), one(b, a)])
+        })
+        .collect();
+    let mut seams = Seams::default();
+    let mut rows = std::collections::BTreeMap::<(Between, u32, u32), (SeamRow, Vec<f64>)>::new();
+    for ([a, b], both) in &found {
+        if both.iter().all(|f| f.gaps.is_empty()) {
+            continue;
+        }
+        let Some(kind) = between(*a, *b) else { continue };
+        let ends = [levels[*a].min(levels[*b]), levels[*a].max(levels[*b])];
+        let key = if kind == Between::Finest { (kind, 0, 0) } else { (kind, ends[0], ends[1]) };
+        let (row, all) = rows.entry(key).or_default();
+        row.pairs += 1;
+        for one in both {
+            row.edges += one.edges;
+            row.unmatched_edges += one.unmatched;
+            all.extend(&one.gaps);
+        }
+        // Of the coarser of the two: what its error allows.
+        let error_m = [*a, *b].map(|t| tileset.tiles[t].geometric_error_m).into_iter().fold(0.0, f64::max);
+        let (into, limit) = match kind != Between::Levels {
+            true => (&mut seams.cracks, config.crack_m),
+            false => (&mut seams.cracks_across, config.crack_m.max(error_m)),
+        };
+        let ends = [(*a, *b, &both[0]), (*b, *a, &both[1])];
+        let worst = ends.iter().filter_map(|(t, n, f)| f.worst.map(|(gap, at)| (gap, at, *t, *n)));
+        let worst = worst.max_by(|x, y| x.0.total_cmp(&y.0));
+        if let Some((gap_m, at, tile, neighbour)) = worst.filter(|w| w.0 > limit) {
+            let unmatched_edges = both[0].unmatched + both[1].unmatched;
+            into.push(Crack { tile, neighbour, gap_m, local_m: at.to_array(), unmatched_edges });
+        }
+    }
+    for ((between, level, finer_level), (mut row, mut gaps)) in rows {
+        gaps.sort_by(f64::total_cmp);
+        let at = |q: f64| gaps.get(((gaps.len() as f64 * q) as usize).min(gaps.len().max(1) - 1)).copied();
+        let quantiles = [0.5, 0.95, 1.0].map(|q| at(q).unwrap_or_default());
+        [row.gap_p50_m, row.gap_p95_m, row.gap_max_m] = quantiles;
+        seams.rows.push(SeamRow { between, level, finer_level, ..row });
+    }
+    for cracks in [&mut seams.cracks, &mut seams.cracks_across] {
+        cracks.sort_by(|a, b| b.gap_m.total_cmp(&a.gap_m).then((a.tile, a.neighbour).cmp(&(b.tile, b.neighbour))));
+    }
+    seams
+}
+
+/// Pairs of tiles whose boxes touch and that may be seen together, none above the other.
+fn neighbours(
+    tileset: &Tileset,
+    borders: &[Border],
+    between: &dyn Fn(usize, usize) -> Option<Between>,
+) -> Vec<[usize; 2]> {
+    let mut order: Vec<usize> = (0..borders.len()).filter(|&t| !borders[t].is_empty()).collect();
+    order.sort_by(|&a, &b| borders[a].aabb.min.x.total_cmp(&borders[b].aabb.min.x).then(a.cmp(&b)));
+    let mut pairs = Vec::new();
+    for (i, &a) in order.iter().enumerate() {
+        for &b in &order[i + 1..] {
+            if borders[b].aabb.min.x > borders[a].aabb.max.x + THICKER_M {
+                break;
+            }
+            let [low, high] = [a.min(b), a.max(b)];
+            let touch = !seam(&borders[a].aabb, &borders[b].aabb, THICKER_M).is_empty();
+            if touch && between(a, b).is_some() && !is_above(tileset, low, high) {
+                pairs.push([low, high]);
+            }
+        }
+    }
+    pairs.sort_unstable();
+    pairs
+}
+
+fn is_above(tileset: &Tileset, upper: usize, tile: usize) -> bool {
+    let mut at = tileset.tiles[tile].parent;
+    while let Some(id) = at {
+        if id == upper {
+            return true;
+        }
+        at = tileset.tiles[id].parent;
+    }
+    false
+}
+
+/// Per tile and border vertex whether any neighbour's border meets it: where three tiles meet, one partner is enough.
+fn met(borders: &[Border], trees: &[Option<Bvh>], pairs: &[[usize; 2]], config: &SeamConfig) -> Vec<Vec<bool>> {
+    let mut neighbours = vec![Vec::new(); borders.len()];
+    for &[a, b] in pairs {
+        neighbours[a].push(b);
+        neighbours[b].push(a);
+    }
+    let of_tile = |(own, others): (&Border, &Vec<usize>)| {
+        let is_met = |p: &DVec3| {
+            others.iter().any(|&o| {
+                borders[o].aabb.contains(*p, config.match_m)
+                    && trees[o].as_ref().is_some_and(|tree| tree.closest(*p, config.match_m).is_some())
+            })
+        };
+        own.points.iter().map(is_met).collect()
+    };
+    borders.par_iter().zip(&neighbours).map(of_tile).collect()
+}
+
+/// Where two boxes overlap, and a little more; empty if they do not.
+fn seam(a: &Aabb, b: &Aabb, by: f64) -> Aabb {
+    Aabb { min: a.min.max(b.min) - by, max: a.max.min(b.max) + by }
+}
+
+fn tree(border: &Border) -> Option<Bvh> {
+    let faces: Vec<[u32; 3]> = border.edges.iter().map(|&[a, b]| [a, b, b]).collect();
+    (!faces.is_empty()).then(|| Bvh::new(&border.points, &faces))
+}
+
+fn gaps(of: &Border, met: &[bool], other: &Border, tree: Option<&Bvh>, config: &SeamConfig) -> Found {
+    let mut found = Found::default();
+    let Some(tree) = tree else { return found };
+    let mut zone = seam(&of.aabb, &other.aabb, THICKER_M);
+    // Heights may differ by as much as what is looked for.
+    zone.min.z -= config.reach_m;
+    zone.max.z += config.reach_m;
+    let is_in: Vec<bool> = of.points.iter().map(|&p| zone.contains(p, 0.0)).collect();
+    let mut links: Vec<(u32, u32)> = of.edges.iter().flat_map(|&[a, b]| [(a, b), (b, a)]).collect();
+    links.sort_unstable();
+    // A vertex that was moved out of the seam still stands between two that are in it.
+    let mut counts = is_in.clone();
+    for group in links.chunk_by(|a, b| a.0 == b.0) {
+        let in_seam = group.iter().filter(|(_, n)| is_in[*n as usize]).count();
+        let own = group[0].0 as usize;
+        counts[own] |= in_seam >= 2 && zone.contains(of.points[own], MOVED_M);
+    }
+    let gap: Vec<Option<f64>> = (0..of.points.len())
+        .map(|v| counts[v].then(|| tree.closest(of.points[v], config.reach_m).map(|hit| hit.distance)).flatten())
+        .zip(met)
+        .map(|(gap, is_met)| gap.filter(|gap| *gap <= config.match_m || !is_met))
+        .collect();
+    for (v, gap) in gap.iter().enumerate() {
+        let Some(gap) = *gap else { continue };
+        found.gaps.push(gap);
+        if found.worst.is_none_or(|(worst, _)| gap > worst) {
+            found.worst = Some((gap, of.points[v]));
+        }
+    }
+    for &[a, b] in &of.edges {
+        if let (Some(a), Some(b)) = (gap[a as usize], gap[b as usize]) {
+            found.edges += 1;
+            found.unmatched += u64::from(a.max(b) > config.match_m);
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A strip of squares from x = `from` to `from` + 1 along y.
+    fn strip(from: f64, move_by: DVec3) -> Border {
+        let mut surface = Surface::default();
+        for i in 0..5 {
+            surface.positions.extend([DVec3::new(from, i as f64, 0.0), DVec3::new(from + 1.0, i as f64, 0.0)]);
+        }
+        surface.positions[5] += move_by;
+        for i in 0..4u32 {
+            let a = 2 * i;
+            surface.faces.extend([[a, a + 1, a + 3], [a, a + 3, a + 2]]);
+        }
+        let aabb = Aabb::of(surface.positions.iter().copied());
+        Border::of(&surface, aabb)
+    }
+
+    fn between(a: &Border, b: &Border) -> [Found; 2] {
+        let config = SeamConfig::default();
+        let one = |a: &Border, b: &Border| gaps(a, &vec![false; a.points.len()], b, tree(b).as_ref(), &config);
+        [one(a, b), one(b, a)]
+    }
+
+    #[test]
+    fn strips_that_meet_have_no_gap_and_a_lifted_vertex_has_its_own() {
+        let right = strip(1.0, DVec3::ZERO);
+        let [a, b] = between(&strip(0.0, DVec3::ZERO), &right);
+        assert_eq!((a.unmatched, b.unmatched, a.edges, b.edges), (0, 0, 4, 4));
+        for by in [DVec3::new(0.0, 0.0, 0.05), DVec3::new(-0.05, 0.0, 0.0)] {
+            let [a, b] = between(&strip(0.0, by), &right);
+            assert!((a.worst.expect("a gap").0 - 0.05).abs() < 1e-12, "{:?}", a.worst);
+            assert_eq!(a.unmatched, 2);
+            assert!(b.unmatched >= 1, "the neighbour's vertex is off the line too");
+        }
+    }
+
+    #[test]
+    fn a_finer_border_on_the_same_line_matches() {
+        let fine = strip(1.0, DVec3::ZERO);
+        let coarse = Surface {
+            positions: vec![DVec3::ZERO, DVec3::new(1.0, 0.0, 0.0), DVec3::new(1.0, 4.0, 0.0)],
+            faces: vec![[0, 1, 2]],
+            class: None,
+        };
+        let coarse = Border::of(&coarse, Aabb::of(coarse.positions.iter().copied()));
+        let [a, b] = between(&coarse, &fine);
+        assert_eq!((a.unmatched, b.unmatched), (0, 0));
+    }
+}

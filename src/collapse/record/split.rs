@@ -1,0 +1,402 @@
+//! What a split is made of, and how each part of it is predicted.
+//!
+//! # Method
+//! 1. Which vertex splits: any of those that live.
+//! 2. Which faces go to the new vertex: a bit a face around the fan, under how often the side has changed so far.
+//! 3. Which faces appear: for each neighbour their number, under how many faces on either side use it; then their turn,
+//!    that their neighbours foretell, and their class.
+//! 4. Where the new vertex is: off the middle of its neighbours; along the surface first, then off its plane.
+//! 5. Where the old vertex was, if it moved.
+//! 6. The largest deviation of each class, off the distance from the new vertex to the coarse faces; the energy.
+
+use glam::DVec3;
+
+use super::coder::{Coder, Number, Prob, Tree};
+use super::level::level_of;
+use super::live::{Fold, Grid, Live, Star, Wing};
+use crate::collapse::record::MAX_CLASSES;
+use crate::geo::bvh::closest_on_triangle;
+
+/// A split in the record's own numbers.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Split {
+    /// The vertex that splits.
+    pub kept: u32,
+    /// Per face of its star: goes to the new vertex.
+    pub leaves: Vec<bool>,
+    /// Faces that appear between the two.
+    pub wings: Vec<Wing>,
+    /// Faces that appear beside those they were folded onto.
+    pub folds: Vec<Fold>,
+    /// Where the vertex is afterwards.
+    pub kept_at: Grid,
+    /// Where the new one is.
+    pub gone_at: Grid,
+    /// Level of the largest deviation of each class that the collapse caused.
+    pub deviation: [u8; MAX_CLASSES],
+}
+
+/// Coordinates beyond this are nonsense: they could not be told apart in f64.
+pub const MOST_COORDINATE: i64 = 1 << 51;
+
+/// Everything learned while coding.
+pub struct Models {
+    sides: Vec<Prob>,
+    wings: Vec<Prob>,
+    far: Prob,
+    folds: [Prob; 4],
+    turned: [Prob; 2],
+    class_as: Vec<Prob>,
+    class: Tree<5>,
+    moved: [Prob; 2],
+    /// By kind of axis, then by the size of what is around.
+    along: Vec<Number>,
+    off: Vec<Number>,
+    has: Vec<Prob>,
+    deviation: Vec<Number>,
+    energy: [Number; 2],
+    was_moved: bool,
+    was_level: i16,
+    was_energy_delta: bool,
+    classes: usize,
+    step_m: f64,
+}
+
+/// Contexts of one kind of size: a power of two each.
+const SIZES: usize = 64;
+
+impl Models {
+    /// Knows nothing yet. `classes` is at most [`MAX_CLASSES`].
+    pub fn new(classes: usize, step_m: f64) -> Self {
+        Self {
+            sides: vec![Prob::default(); 128],
+            wings: vec![Prob::default(); 81],
+            far: Prob::default(),
+            folds: Default::default(),
+            turned: Default::default(),
+            class_as: vec![Prob::default(); 96],
+            class: Tree::default(),
+            moved: Default::default(),
+            along: vec![Number::default(); 6 * SIZES],
+            off: vec![Number::default(); 2 * SIZES],
+            has: vec![Prob::default(); 4 * MAX_CLASSES],
+            deviation: vec![Number::default(); 16],
+            energy: Default::default(),
+            was_moved: false,
+            was_level: 0,
+            was_energy_delta: false,
+            classes,
+            step_m,
+        }
+    }
+
+    /// Codes which vertex splits.
+    pub fn code_kept(&mut self, coder: &mut impl Coder, live: &Live, kept: u32) -> u32 {
+        coder.uniform(live.points.len() as u32, kept)
+    }
+
+    /// Codes the rest of `split`, whose star is `star`, with at most `most` new faces.
+    ///
+    /// # Errors
+    /// What is wrong with it; only a decoder finds fault.
+    pub fn code(
+        &mut self,
+        coder: &mut impl Coder,
+        live: &Live,
+        star: &mut Star,
+        split: &mut Split,
+        most: usize,
+    ) -> Result<(), &'static str> {
+        self.code_sides(coder, star, &mut split.leaves);
+        star.count_sides(&split.leaves);
+        self.code_wings(coder, live, star, split, most)?;
+        self.code_folds(coder, live, star, split, most)?;
+        self.code_positions(coder, live, star, split)?;
+        self.code_deviation(coder, live, star, split);
+        Ok(())
+    }
+
+    fn code_sides(&mut self, coder: &mut impl Coder, star: &Star, leaves: &mut Vec<bool>) {
+        leaves.resize(star.spokes.len(), false);
+        let (mut before, mut changes, mut run) = (false, 0usize, 0u32);
+        for (spoke, leaves) in star.spokes.iter().zip(leaves.iter_mut()) {
+            let left = spoke.left.min(3) as usize;
+            let context = if spoke.begins {
+                (changes, run) = (0, 0);
+                120 + 4 * usize::from(spoke.closed) + left
+            } else {
+                let of_run = run.min(2) as usize - 1;
+                (((usize::from(spoke.closed) * 3 + changes.min(2)) * 2 + usize::from(before)) * 4 + left) * 2 + of_run
+            };
+            *leaves = coder.bit(&mut self.sides[context], *leaves);
+            let same = spoke.begins || *leaves == before;
+            changes += usize::from(!same);
+            run = if same { run + 1 } else { 1 };
+            before = *leaves;
+        }
+    }
+
+    fn code_wings(
+        &mut self,
+        coder: &mut impl Coder,
+        live: &Live,
+        star: &Star,
+        split: &mut Split,
+        most: usize,
+    ) -> Result<(), &'static str> {
+        let mut given = std::mem::take(&mut split.wings);
+        let wings = &mut split.wings;
+        for rim in &star.rims {
+            for so_far in 0.. {
+                let next = given.iter().position(|w| w.apex == rim.vertex);
+                let sides = rim.stay.min(2) as usize * 3 + rim.leave.min(2) as usize;
+                let context = (sides * 3 + so_far.min(2)) * 3 + wings.len().min(2);
+                if !coder.bit(&mut self.wings[context], next.is_some()) {
+                    break;
+                }
+                if wings.len() >= most {
+                    return Err("more faces than it says it has");
+                }
+                let mut wing = next.map_or_else(Wing::default, |i| given.remove(i));
+                wing.apex = rim.vertex;
+                let spoke = star.spokes[rim.spoke as usize];
+                // The face beside it runs the other way along the edge they share.
+                let hint = (rim.vertex == spoke.a) == split.leaves[rim.spoke as usize];
+                wing.turned = coder.bit(&mut self.turned[0], wing.turned != hint) != hint;
+                let beside = [rim.spoke, rim.other].map(|i| live.classes[star.spokes[i as usize].corner as usize / 3]);
+                wing.class = self.code_class(coder, beside, wing.class);
+                wings.push(wing);
+            }
+        }
+        // Faces whose apex no other face of the star uses.
+        while coder.bit(&mut self.far, !given.is_empty()) {
+            if wings.len() >= most {
+                return Err("more faces than it says it has");
+            }
+            let mut wing = given.pop().unwrap_or_default();
+            wing.apex = coder.uniform(live.points.len() as u32, wing.apex);
+            if wing.apex == split.kept {
+                return Err("a face with one vertex twice");
+            }
+            wing.turned = coder.bit(&mut self.turned[1], wing.turned);
+            let like = star.spokes.first().map_or(0, |s| live.classes[s.corner as usize / 3]);
+            wing.class = self.code_class(coder, [like; 2], wing.class);
+            wings.push(wing);
+        }
+        Ok(())
+    }
+
+    /// Codes the faces that were folded away: rare, so by what names them and no more.
+    fn code_folds(
+        &mut self,
+        coder: &mut impl Coder,
+        live: &Live,
+        star: &Star,
+        split: &mut Split,
+        most: usize,
+    ) -> Result<(), &'static str> {
+        let given = std::mem::take(&mut split.folds);
+        let like = star.spokes.first().map_or(0, |s| live.classes[s.corner as usize / 3]);
+        for so_far in 0.. {
+            let next = given.get(so_far);
+            if !coder.bit(&mut self.folds[so_far.min(1)], next.is_some()) {
+                break;
+            }
+            if split.wings.len() + split.folds.len() >= most {
+                return Err("more faces than it says it has");
+            }
+            let mut fold = next.copied().unwrap_or_default();
+            fold.of_new = coder.bit(&mut self.folds[2], fold.of_new);
+            fold.a = self.code_neighbour(coder, live, star, fold.a);
+            fold.b = self.code_neighbour(coder, live, star, fold.b);
+            if fold.a == fold.b || fold.a == split.kept || fold.b == split.kept {
+                return Err("a face with one vertex twice");
+            }
+            fold.class = self.code_class(coder, [like; 2], fold.class);
+            split.folds.push(fold);
+        }
+        Ok(())
+    }
+
+    /// Codes a vertex that is probably next to the one that splits.
+    fn code_neighbour(&mut self, coder: &mut impl Coder, live: &Live, star: &Star, v: u32) -> u32 {
+        let place = star.rims.iter().position(|r| r.vertex == v);
+        if coder.bit(&mut self.folds[3], place.is_none()) || star.rims.is_empty() {
+            return coder.uniform(live.points.len() as u32, v);
+        }
+        let count = (star.rims.len() as u32).min(1 << 16);
+        star.rims[coder.uniform(count, place.unwrap_or(0) as u32) as usize].vertex
+    }
+
+    /// Codes a class that is probably one of two.
+    pub fn code_class(&mut self, coder: &mut impl Coder, [one, two]: [u8; 2], class: u8) -> u8 {
+        let context = usize::from(one & 31) + if one == two { 32 } else { 0 };
+        if !coder.bit(&mut self.class_as[context], class != one) {
+            return one;
+        }
+        if one != two && !coder.bit(&mut self.class_as[64 + usize::from(two & 31)], class != two) {
+            return two;
+        }
+        self.class.code(coder, u32::from(class)) as u8
+    }
+
+    fn code_positions(
+        &mut self,
+        coder: &mut impl Coder,
+        live: &Live,
+        star: &Star,
+        split: &mut Split,
+    ) -> Result<(), &'static str> {
+        let coarse = live.points[split.kept as usize];
+        let is_apex = |v: u32| split.wings.iter().any(|w| w.apex == v);
+        let ring = |leaving: bool| {
+            star.rims.iter().filter(move |r| (if leaving { r.leave } else { r.stay }) > 0 || is_apex(r.vertex))
+        };
+        let normal = normal_of(live, star, &split.leaves, coarse);
+        let around = Around::of(live, ring(true).map(|r| r.vertex), coarse, normal);
+        split.gone_at = self.code_point(coder, &around, around.middle, split.gone_at, 0)?;
+        split.kept_at = if coder.bit(&mut self.moved[usize::from(self.was_moved)], split.kept_at != coarse) {
+            self.was_moved = true;
+            let around = Around::of(live, ring(false).map(|r| r.vertex), split.gone_at, normal);
+            // Placement pulls towards the middle of the edge; the ring says less (half the guess: 0.8 bytes more).
+            let mirrored = 2.0 * vec(coarse) - vec(split.gone_at);
+            self.code_point(coder, &around, mirrored, split.kept_at, 3)?
+        } else {
+            self.was_moved = false;
+            coarse
+        };
+        Ok(())
+    }
+
+    /// Codes a point near `guess`: two coordinates along the surface, the third off its plane.
+    fn code_point(
+        &mut self,
+        coder: &mut impl Coder,
+        around: &Around,
+        guess: DVec3,
+        point: Grid,
+        kind: usize,
+    ) -> Result<Grid, &'static str> {
+        let [u, v, w] = around.axes;
+        let mut out = [0i64; 3];
+        let code = |model: &mut Number, coder: &mut _, guess: f64, value: i64| {
+            let guess = guess.round_ties_even() as i64;
+            guess.saturating_add(model.code(coder, value.saturating_sub(guess), 0))
+        };
+        out[u] = code(&mut self.along[kind * SIZES + around.reach], coder, guess[u], point[u]);
+        let du = out[u] as f64 - guess[u];
+        let second = kind + 1 + usize::from(size_class(du) >= around.reach);
+        out[v] = code(&mut self.along[second * SIZES + around.reach], coder, guess[v], point[v]);
+        let dv = out[v] as f64 - guess[v];
+        let on_plane = guess[w] - around.slope[0] * du - around.slope[1] * dv;
+        out[w] = code(&mut self.off[(kind / 3) * SIZES + around.rough], coder, on_plane, point[w]);
+        if out.iter().any(|x| x.unsigned_abs() > MOST_COORDINATE as u64) {
+            return Err("a coordinate out of range");
+        }
+        Ok(out)
+    }
+
+    fn code_deviation(&mut self, coder: &mut impl Coder, live: &Live, star: &Star, split: &mut Split) {
+        if self.classes == 0 {
+            return;
+        }
+        let near = vec(split.gone_at);
+        let mut in_star = 0u32;
+        let mut squared = f64::INFINITY;
+        for spoke in &star.spokes {
+            let face = spoke.corner as usize / 3;
+            in_star |= 1 << live.classes[face];
+            let corners = live.faces[face].map(|v| vec(live.points[v as usize]));
+            squared = squared.min((closest_on_triangle(near, &corners) - near).length_squared());
+        }
+        split.wings.iter().for_each(|w| in_star |= 1 << w.class);
+        let guide = if star.spokes.is_empty() { 0 } else { i64::from(level_of(squared.sqrt() * self.step_m)) };
+        let mut any = false;
+        for class in 0..self.classes {
+            let level = &mut split.deviation[class];
+            let context = class * 4 + usize::from((in_star >> class) & 1 == 1) * 2 + usize::from(any);
+            if !coder.bit(&mut self.has[context], *level > 0) {
+                *level = 0;
+                continue;
+            }
+            let context = (guide - i64::from(self.was_level)).clamp(-28, 28) / 8 + 4;
+            let context = context as usize + 8 * usize::from(any);
+            let delta = self.deviation[context.min(15)].code(coder, i64::from(*level) - guide, 0);
+            *level = (guide + delta).clamp(1, 255) as u8;
+            self.was_level = i16::from(*level);
+            any = true;
+        }
+    }
+
+    /// Codes the energy's level off that of the split before.
+    pub fn code_energy(&mut self, coder: &mut impl Coder, before: i16, energy: i16) -> i16 {
+        let model = &mut self.energy[usize::from(self.was_energy_delta)];
+        let delta = model.code(coder, i64::from(energy) - i64::from(before), 0);
+        self.was_energy_delta = delta != 0;
+        (i64::from(before) + delta).clamp(i64::from(i16::MIN), i64::from(i16::MAX)) as i16
+    }
+}
+
+fn vec(p: Grid) -> DVec3 {
+    DVec3::new(p[0] as f64, p[1] as f64, p[2] as f64)
+}
+
+/// Bits of a length in grid steps.
+fn size_class(length: f64) -> usize {
+    let steps = length.abs() as u64;
+    (64 - steps.leading_zeros() as usize).min(SIZES - 1)
+}
+
+/// Sum of the cross products of the faces that leave, or of all if none does.
+fn normal_of(live: &Live, star: &Star, leaves: &[bool], at: Grid) -> DVec3 {
+    let all = !leaves.contains(&true);
+    let mut sum = DVec3::ZERO;
+    for (spoke, leaves) in star.spokes.iter().zip(leaves) {
+        if all || *leaves {
+            let [a, b] = [spoke.a, spoke.b].map(|v| vec(live.points[v as usize]) - vec(at));
+            sum += a.cross(b);
+        }
+    }
+    sum
+}
+
+/// The neighbours a new point will have.
+struct Around {
+    /// Their mean.
+    middle: DVec3,
+    /// Size class of their distance from it.
+    reach: usize,
+    /// Size class of their distance from the plane through it.
+    rough: usize,
+    /// Two axes along the surface, then the one that is most upright on it.
+    axes: [usize; 3],
+    /// How much the plane falls along the first two.
+    slope: [f64; 2],
+}
+
+impl Around {
+    fn of(live: &Live, ring: impl Iterator<Item = u32> + Clone, and: Grid, normal: DVec3) -> Self {
+        let points = || ring.clone().map(|v| vec(live.points[v as usize])).chain([vec(and)]);
+        let count = points().count() as f64;
+        let middle = points().sum::<DVec3>() / count;
+        let size = normal.abs();
+        let w = if size.x > size.y && size.x > size.z {
+            0
+        } else if size.y > size.z {
+            1
+        } else {
+            2
+        };
+        let axes = [(w + 1) % 3, (w + 2) % 3, w];
+        let flat = size[w] > 0.0 && normal.is_finite();
+        let slope = if flat { [normal[axes[0]] / normal[w], normal[axes[1]] / normal[w]] } else { [0.0; 2] };
+        let (mut reach, mut rough) = (0.0, 0.0);
+        for p in points() {
+            let d = p - middle;
+            reach += d.x.abs().max(d.y.abs()).max(d.z.abs());
+            rough += (d[w] + slope[0] * d[axes[0]] + slope[1] * d[axes[1]]).abs();
+        }
+        // Twice the mean: half powers would cost more contexts than they are worth.
+        Self { middle, reach: size_class(2.0 * reach / count), rough: size_class(2.0 * rough / count), axes, slope }
+    }
+}

@@ -1,0 +1,209 @@
+//! Bounds how far a tile lies inside or below its source: the direction in which a pilot is not safe.
+//!
+//! In: the source, the tile, the nearest tile point of every source vertex. Out: per class two certified numbers.
+//!
+//! # Method
+//! For every point p of the source there is a point q of the tile, no further away than the certified bound of p's class,
+//! with n·(p − q) ≤ `inside_m`, n the source's normal at p; and one with p.z − q.z ≤ `sunk_m`. A face is settled by one
+//! tile triangle T: n·(p − q) is affine where p and q run over the face and T together, so the largest of its corners'
+//! values holds for all of it. Or by one point of the tile for the whole face. Else it is quartered.
+//!
+//! # Promises
+//! `the_tile_never_sinks_deeper_than_stated`.
+
+use glam::DVec3;
+
+use super::error::{Corner, DEEPEST, Deviation, Surface, TOLERANCE_M, TOLERANCE_SHARE, closest};
+use crate::geo::bvh::{Bvh, Hit, closest_on_triangle};
+
+/// Fills `inside_m` and `sunk_m` of every class whose `upper_m` is final.
+pub(super) fn bound(from: Surface, to: Surface, tree: &Bvh, hits: &[Hit], found: &mut [Deviation]) {
+    let mut bounds = vec![[f64::NEG_INFINITY; 2]; found.len()];
+    let mut stack = Vec::new();
+    for (face, label) in from.faces.iter().zip(from.labels) {
+        let corners = face.map(|v| Corner { at: from.positions[v as usize], hit: hits[v as usize] });
+        if corners.iter().any(|c| c.hit.face == u32::MAX) {
+            continue;
+        }
+        let (bound_m, reach_m) = (&mut bounds[label.index()], found[label.index()].upper_m * (1.0 + 1e-9));
+        let directions = directions(&corners);
+        stack.push((corners, 0));
+        while let Some((corners, depth)) = stack.pop() {
+            let enough_m = bound_m.map(enough);
+            let settled = |best_m: &[f64; 2]| best_m[0] <= enough_m[0] && best_m[1] <= enough_m[1];
+            let mut best_m = values(&corners, &directions, to, reach_m, enough_m);
+            if !settled(&best_m) {
+                // Not the nearest triangle perhaps, but one within reach.
+                for face in within(&corners, reach_m, tree) {
+                    take_triangle(&mut best_m, &directions, &corners, to, face, reach_m);
+                }
+            }
+            if !settled(&best_m) && depth < DEEPEST {
+                quarter(&corners, to, tree).into_iter().for_each(|part| stack.push((part, depth + 1)));
+                continue;
+            }
+            if best_m.iter().any(|b| b.is_infinite()) {
+                best_m = values(&corners, &directions, to, f64::INFINITY, [f64::NEG_INFINITY; 2]);
+            }
+            for (bound_m, value_m) in bound_m.iter_mut().zip(best_m) {
+                *bound_m = bound_m.max(value_m);
+            }
+        }
+    }
+    for (deviation, bound_m) in found.iter_mut().zip(bounds) {
+        let or_0 = |m: f64| if m.is_finite() { m } else { 0.0 };
+        (deviation.inside_m, deviation.sunk_m) = (or_0(bound_m[0]), or_0(bound_m[1]));
+    }
+}
+
+/// Tile triangles whose boxes are within reach of a corner, at most [`MOST_CANDIDATES`].
+pub(super) fn within(corners: &[Corner; 3], reach_m: f64, tree: &Bvh) -> Vec<u32> {
+    let p = corners[0].at;
+    let mut found = Vec::new();
+    tree.overlapping(p - reach_m, p + reach_m, &mut |face| {
+        if found.len() < MOST_CANDIDATES {
+            found.push(face);
+        }
+    });
+    found
+}
+
+/// More triangles within reach are not looked at: the bound is not as good then, but still one.
+const MOST_CANDIDATES: usize = 64;
+
+/// The face's normal, and up.
+fn directions(corners: &[Corner; 3]) -> [DVec3; 2] {
+    let [a, b, c] = corners.map(|c| c.at);
+    [(b - a).cross(c - a).try_normalize().unwrap_or(DVec3::Z), DVec3::Z]
+}
+
+/// A value up to here adds nothing worth a closer look.
+fn enough(worst_m: f64) -> f64 {
+    if worst_m.is_finite() { worst_m + TOLERANCE_M.max(TOLERANCE_SHARE * worst_m.abs()) } else { worst_m }
+}
+
+/// The least value found for each direction; no better than `enough_m` where a coarse look gives that.
+fn values(corners: &[Corner; 3], directions: &[DVec3; 2], to: Surface, reach_m: f64, enough_m: [f64; 2]) -> [f64; 2] {
+    let mut best_m = [f64::INFINITY; 2];
+    for (k, c) in corners.iter().enumerate() {
+        // One point of the tile for the whole face.
+        let furthest_m = corners.iter().map(|e| (e.at - c.hit.point).length()).fold(0.0, f64::max);
+        if furthest_m <= reach_m {
+            take(&mut best_m, directions, corners.map(|e| e.at - c.hit.point));
+        }
+        if best_m[0] <= enough_m[0] && best_m[1] <= enough_m[1] {
+            return best_m;
+        }
+        // One triangle of it.
+        if corners[..k].iter().any(|e| e.hit.face == c.hit.face) {
+            continue;
+        }
+        take_triangle(&mut best_m, directions, corners, to, c.hit.face, reach_m);
+    }
+    best_m
+}
+
+fn take_triangle(
+    best_m: &mut [f64; 2],
+    directions: &[DVec3; 2],
+    corners: &[Corner; 3],
+    to: Surface,
+    face: u32,
+    reach_m: f64,
+) {
+    let triangle = to.faces[face as usize].map(|v| to.positions[v as usize]);
+    let offsets =
+        corners.map(|e| e.at - if e.hit.face == face { e.hit.point } else { closest_on_triangle(e.at, &triangle) });
+    if offsets.iter().all(|o| o.length() <= reach_m) {
+        take(best_m, directions, offsets);
+    }
+}
+
+fn take(best_m: &mut [f64; 2], directions: &[DVec3; 2], offsets: [DVec3; 3]) {
+    for (best_m, direction) in best_m.iter_mut().zip(directions) {
+        *best_m = best_m.min(offsets.iter().map(|o| direction.dot(*o)).fold(f64::NEG_INFINITY, f64::max));
+    }
+}
+
+/// The four parts of a triangle that its edges' middles make.
+pub(super) fn quarter(corners: &[Corner; 3], to: Surface, tree: &Bvh) -> [[Corner; 3]; 4] {
+    let middle = |i: usize, j: usize| {
+        let at = (corners[i].at + corners[j].at) * 0.5;
+        Corner { at, hit: closest(at, Some(corners[i].hit.face), to, tree) }
+    };
+    let [a, b, c] = *corners;
+    let (ab, bc, ca) = (middle(0, 1), middle(1, 2), middle(2, 0));
+    [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::error::directed;
+    use super::*;
+    use crate::ids::ClassId;
+
+    type Shape = (Vec<DVec3>, Vec<[u32; 3]>);
+
+    fn grid(n: usize, height: impl Fn(f64, f64) -> f64) -> Shape {
+        let at = |x: usize, y: usize| (x as f64 / n as f64 * 10.0, y as f64 / n as f64 * 10.0);
+        let points = (0..=n).flat_map(|y| (0..=n).map(move |x| at(x, y)));
+        let positions = points.map(|(x, y)| DVec3::new(x, y, height(x, y))).collect();
+        let m = n as u32 + 1;
+        let cells = (0..n as u32).flat_map(|y| (0..n as u32).map(move |x| y * m + x));
+        (positions, cells.flat_map(|a| [[a, a + 1, a + m + 1], [a, a + m + 1, a + m]]).collect())
+    }
+
+    fn deviation(source: &Shape, tile: &Shape) -> Deviation {
+        let (ls, lt) = (vec![ClassId(0); source.1.len()], vec![ClassId(0); tile.1.len()]);
+        let from = Surface { positions: &source.0, faces: &source.1, labels: &ls };
+        let to = Surface { positions: &tile.0, faces: &tile.1, labels: &lt };
+        directed(from, to, &Bvh::new(&tile.0, &tile.1), 1, true).remove(0)
+    }
+
+    #[test]
+    fn the_tile_never_sinks_deeper_than_stated() {
+        let bumpy = grid(31, |x, y| (x * 1.3).sin() * (y * 0.7).cos());
+        let coarse = grid(4, |x, y| (x * 1.3).sin() * (y * 0.7).cos() * 0.8);
+        let stated = deviation(&bumpy, &coarse);
+        // Both are heights over the plane: how much lower the tile is straight below is never less than with a point
+        // nearby. What the dense sample sees at the nearest point is the other side of the interval.
+        let tree = Bvh::new(&coarse.0, &coarse.1);
+        let (mut below_m, mut deep_m) = (f64::NEG_INFINITY, f64::NEG_INFINITY);
+        for f in &bumpy.1 {
+            let [a, b, c] = f.map(|v| bumpy.0[v as usize]);
+            let n = (b - a).cross(c - a).normalize();
+            for p in [a, b, c, (a + b + c) / 3.0, (a + b) / 2.0] {
+                let q = tree.closest(p, f64::INFINITY).unwrap().point;
+                below_m = below_m.max(p.z - q.z);
+                deep_m = deep_m.max(n.dot(p - q));
+            }
+        }
+        assert!(stated.sunk_m <= below_m * 1.2 + 0.01, "{} for {below_m}", stated.sunk_m);
+        assert!(stated.inside_m <= deep_m * 1.2 + 0.01, "{} for {deep_m}", stated.inside_m);
+        // Some point of the tile within reach is that high, for every point of the source.
+        for p in &bumpy.0 {
+            let mut highest = f64::NEG_INFINITY;
+            tree.overlapping(*p - stated.upper_m, *p + stated.upper_m, &mut |f| {
+                let triangle = coarse.1[f as usize].map(|v| coarse.0[v as usize]);
+                highest = triangle.iter().map(|q| q.z).fold(highest, f64::max);
+            });
+            assert!(p.z - highest <= stated.sunk_m, "{p} {highest} {}", stated.sunk_m);
+        }
+    }
+
+    #[test]
+    fn a_tile_above_its_source_is_safe_and_says_by_how_much() {
+        let (low, high) = (grid(6, |_, _| 0.0), grid(2, |_, _| 0.25));
+        let safe = deviation(&low, &high);
+        assert!((safe.inside_m + 0.25).abs() < 1e-9 && (safe.sunk_m + 0.25).abs() < 1e-9, "{safe:?}");
+        let sunk = deviation(&high, &low);
+        assert!((sunk.inside_m - 0.25).abs() < 1e-9 && (sunk.sunk_m - 0.25).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_lost_spike_counts_with_its_whole_height() {
+        let spiky = grid(20, |x, y| if (x - 5.0).hypot(y - 5.0) < 0.1 { 3.0 } else { 0.0 });
+        let sunk_m = deviation(&spiky, &grid(2, |_, _| 0.0)).sunk_m;
+        assert!((3.0..3.2).contains(&sunk_m), "{sunk_m}");
+    }
+}

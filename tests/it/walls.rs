@@ -1,0 +1,260 @@
+//! Where tiles of different levels meet: gaps are as wide as stated, and skirts close them.
+
+use std::collections::BTreeMap;
+
+use glam::DVec3;
+use rayon::prelude::*;
+use rooftile::draw::holes::{HoleConfig, Holes};
+use rooftile::draw::raster::Seen;
+use rooftile::draw::view::View;
+use rooftile::geo::bvh::{Bvh, closest_on_triangle};
+
+use crate::common::town::{Node, Town, town};
+use crate::common::{build, data};
+
+/// Two tiles round their vertices apart, metres.
+const ROUNDING_M: f64 = 1e-5;
+
+/// Open edges of a tile's surface that lie in the plane of an axis at a place.
+fn border(node: &Node, axis: usize, place: f64) -> Vec<[DVec3; 2]> {
+    let at = |v: u32| node.tile.positions[v as usize];
+    let near = |p: DVec3| (p[axis] - place).abs() < ROUNDING_M;
+    let key = |p: DVec3| p.to_array().map(|c| (c * 1e4).round() as i64);
+    let mut found: BTreeMap<[[i64; 3]; 2], (usize, [DVec3; 2])> = BTreeMap::new();
+    for face in &node.tile.faces {
+        for k in 0..3 {
+            let ends = [at(face[k]), at(face[(k + 1) % 3])];
+            if ends.into_iter().all(near) {
+                let mut id = ends.map(key);
+                id.sort_unstable();
+                found.entry(id).or_insert((0, ends)).0 += 1;
+            }
+        }
+    }
+    found.into_values().filter(|(count, _)| count % 2 == 1).map(|(_, ends)| ends).collect()
+}
+
+/// Largest distance of points of `from`, at most `step_m` apart and within a span along the wall, from `to`.
+fn gap_m(from: &[[DVec3; 2]], to: &[[DVec3; 2]], along: usize, [low, high]: [f64; 2], step_m: f64) -> f64 {
+    let positions: Vec<DVec3> = to.iter().flatten().copied().collect();
+    let faces: Vec<[u32; 3]> = (0..to.len() as u32).map(|e| [2 * e, 2 * e + 1, 2 * e + 1]).collect();
+    let tree = Bvh::new(&positions, &faces);
+    let points = from.iter().flat_map(|[a, b]| {
+        let parts = ((*b - *a).length() / step_m).ceil().max(1.0);
+        (0..=parts as usize).map(move |i| *a + (*b - *a) * (i as f64 / parts))
+    });
+    let inside = points.filter(|p| (low..=high).contains(&p[along]));
+    inside.map(|p| tree.closest(p, f64::INFINITY).map_or(0.0, |h| h.distance)).fold(0.0, f64::max)
+}
+
+#[test]
+fn no_gap_between_tiles_that_can_meet_is_wider_than_stated() {
+    let town = town();
+    // Of the surface: a skirt may run on along the wall beyond its cell's corner.
+    let extents: Vec<(DVec3, DVec3)> = (town.nodes.iter())
+        .map(|n| {
+            let all = || n.tile.faces.iter().flatten().map(|&v| n.tile.positions[v as usize]);
+            (all().fold(DVec3::INFINITY, DVec3::min), all().fold(DVec3::NEG_INFINITY, DVec3::max))
+        })
+        .collect();
+    let edges = |n: usize| extents[n];
+    let mut pairs = Vec::new();
+    for a in 0..town.nodes.len() {
+        for b in (0..town.nodes.len()).filter(|&b| b != a) {
+            let related = town.ancestors(a).contains(&b) || town.ancestors(b).contains(&a);
+            let ((low_a, high_a), (low_b, high_b)) = (edges(a), edges(b));
+            for axis in (0..2).filter(|&axis| !related && (high_a[axis] - low_b[axis]).abs() < ROUNDING_M) {
+                let along = 1 - axis;
+                let span = [low_a[along].max(low_b[along]), high_a[along].min(high_b[along])];
+                // Those that meet at a corner only share a line.
+                if span[1] - span[0] > 0.01 {
+                    pairs.push((a, b, axis, high_a[axis], span));
+                }
+            }
+        }
+    }
+    let found: Vec<(f64, bool)> = pairs
+        .into_par_iter()
+        .filter_map(|(a, b, axis, place, span)| {
+            let of = [a, b].map(|n| border(&town.nodes[n], axis, place));
+            if of.iter().any(Vec::is_empty) {
+                return None;
+            }
+            let step_m = 0.02;
+            let both = [gap_m(&of[0], &of[1], 1 - axis, span, step_m), gap_m(&of[1], &of[0], 1 - axis, span, step_m)];
+            let measured_m = both[0].max(both[1]);
+            let stated = |n: usize| town.nodes[n].number("wallDeviation").expect("a number");
+            let (uris, stated_m) = ([a, b].map(|n| &town.nodes[n].uri), stated(a).min(stated(b)));
+            assert!(measured_m <= stated_m + ROUNDING_M, "{uris:?}: {measured_m} m apart, stated {stated_m} m");
+            Some((measured_m, town.nodes[a].level != town.nodes[b].level))
+        })
+        .collect();
+    let mixed: Vec<f64> = found.iter().filter(|f| f.1).map(|f| f.0).collect();
+    assert!(mixed.len() > 20, "{} pairs of different levels", mixed.len());
+    let widest_m = mixed.iter().copied().fold(0.0, f64::max);
+    assert!(widest_m > 0.05, "levels that never differ prove nothing: {widest_m} m");
+    println!("{} pairs, {} of two levels, up to {widest_m:.3} m apart", found.len(), mixed.len());
+}
+
+/// Numbers that are the same in every run.
+struct Dice(u64);
+
+impl Dice {
+    fn below(&mut self, sides: u64) -> u64 {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (self.0 >> 33) % sides
+    }
+}
+
+/// Tiles that a viewer may draw together: each point of the city in exactly one of them.
+fn random_cut(town: &Town, dice: &mut Dice) -> Vec<usize> {
+    let refine_in_4 = 1 + dice.below(3);
+    let (mut cut, mut open) = (Vec::new(), vec![0]);
+    while let Some(n) = open.pop() {
+        let children: Vec<usize> = (0..town.nodes.len()).filter(|&c| town.nodes[c].parent == Some(n)).collect();
+        // A tile alone has no neighbours.
+        let alone = open.is_empty() && cut.is_empty();
+        if !children.is_empty() && alone || (!children.is_empty() && dice.below(4) < refine_in_4) {
+            open.extend(children);
+        } else {
+            cut.push(n);
+        }
+    }
+    cut
+}
+
+fn joined(town: &Town, cut: &[usize], with_skirts: bool) -> (Vec<DVec3>, Vec<[u32; 3]>, usize) {
+    let (mut positions, mut faces) = town.joined(cut);
+    let surface = faces.len();
+    let mut first = 0;
+    for &n in cut.iter().filter(|_| with_skirts) {
+        let tile = &town.nodes[n].tile;
+        faces.extend(tile.skirts.iter().map(|f| f.map(|v| v + first)));
+        first += tile.positions.len() as u32;
+    }
+    positions.shrink_to_fit();
+    (positions, faces, surface)
+}
+
+/// Views of the whole city and of some tiles of it.
+fn views(town: &Town) -> Vec<View> {
+    let corners = |n: &Node| {
+        let of = |i: usize| DVec3::from_array([0, 1, 2].map(|k| if i >> k & 1 == 0 { -1.0 } else { 1.0 }));
+        (0..8).map(|i| n.middle + n.half * of(i)).collect::<Vec<_>>()
+    };
+    let some = town.nodes.iter().filter(|n| n.level == 1 || n.is_leaf).take(24);
+    let all = [&town.nodes[0]].into_iter().chain(some);
+    all.enumerate()
+        .map(|(i, n)| {
+            let (azimuth_deg, elevation_deg) = (73.0 * i as f64, [25.0, 60.0, 40.0][i % 3]);
+            View::oblique(&corners(n), azimuth_deg, elevation_deg, [640, 400])
+        })
+        .collect()
+}
+
+/// What cuts show where the whole surface is.
+#[derive(Debug, Default)]
+struct Shown {
+    /// Background, pixels.
+    open_px: u64,
+    /// Background if the skirts are left out, pixels.
+    bare_px: u64,
+    /// Cuts of more than one level.
+    mixed: usize,
+}
+
+fn show(town: &Town, cuts: usize) -> Shown {
+    let views = views(town);
+    let reference: Vec<Seen> = views.par_iter().map(|v| Seen::of(v, &town.positions, &town.faces)).collect();
+    let mut dice = Dice(7);
+    let mut shown = Shown::default();
+    for i in 0..cuts {
+        let cut = random_cut(town, &mut dice);
+        let levels = cut.iter().map(|&n| town.nodes[n].level);
+        shown.mixed += usize::from(levels.clone().min() != levels.max());
+        let (view, full) = (&views[i % views.len()], &reference[i % views.len()]);
+        // A surface within its error may end that much before the city does.
+        let error_m = cut.iter().map(|&n| town.nodes[n].geometry_m).fold(0.0, f64::max);
+        let pixels = (0..full.faces().len()).filter_map(|p| full.depth_m(p));
+        let nearest_m = pixels.fold(f64::INFINITY, f64::min);
+        let rim_px = 1 + (error_m / view.m_per_px(nearest_m)).ceil().min(100.0) as u32;
+        let config = HoleConfig { rim_px, ..HoleConfig::default() };
+        let holes = |with_skirts| {
+            let (positions, faces, _) = joined(town, &cut, with_skirts);
+            Holes::of(full, &Seen::of(view, &positions, &faces), &config)
+        };
+        let (with, without) = (holes(true), holes(false));
+        if with.open_px > 0 {
+            println!("cut {i} of {} tiles, rim {rim_px}: {:?}", cut.len(), with.holes.first());
+        }
+        shown.open_px += with.open_px;
+        shown.bare_px += without.open_px;
+    }
+    println!("{cuts} cuts: {shown:?}");
+    shown
+}
+
+#[test]
+fn two_hundred_random_cuts_show_no_background_where_the_city_is() {
+    let shown = show(town(), 200);
+    assert!(shown.mixed > 150, "{shown:?}");
+    assert!(shown.bare_px > 100, "the test sees nothing: {shown:?}");
+    assert_eq!(shown.open_px, 0, "{shown:?}");
+}
+
+#[test]
+fn random_cuts_of_a_real_scan_show_no_background_either() {
+    let Some(input) = data("suncrest-house") else { return };
+    let temp = tempfile::tempdir().expect("a folder");
+    let folder = temp.path().join("tiles");
+    let sets =
+        ["--set", "levels.leaf_faces=8000", "--set", "levels.tile_faces=6000", "--set", "levels.root_faces=3000"];
+    let run = build(&input, &folder, &sets).wants(0);
+    let shown = show(&Town::of_leaves(&folder, run), 60);
+    // What is left open is not told apart yet: coarse tiles lose leaves of trees, which stand against the sky at the rim.
+    const LOST_PX_PER_CUT: u64 = 40;
+    let is_closed = shown.open_px < shown.bare_px && shown.open_px <= LOST_PX_PER_CUT * 60;
+    assert!(shown.mixed > 30 && is_closed, "{shown:?}");
+}
+
+#[test]
+fn from_above_no_skirt_is_seen() {
+    let town = town();
+    let mut dice = Dice(11);
+    for _ in 0..10 {
+        let cut = random_cut(town, &mut dice);
+        let (positions, faces, surface) = joined(town, &cut, true);
+        assert!(faces.len() > surface, "no skirts at all");
+        let seen = Seen::of(&View::above(&positions, [1200, 1200]), &positions, &faces);
+        let skirts = seen.faces().iter().filter(|&&f| f as usize >= surface && (f as usize) < faces.len()).count();
+        assert_eq!(skirts, 0, "pixels of skirts from straight above");
+    }
+}
+
+#[test]
+fn skirts_hang_from_edges_of_their_class_inside_the_box() {
+    let town = town();
+    let mut skirts = 0;
+    for node in &town.nodes {
+        let tile = &node.tile;
+        assert_eq!(node.number("skirtTriangles"), Some(tile.skirts.len() as f64), "{}", node.uri);
+        assert_eq!(node.number("triangles"), Some(tile.faces.len() as f64), "{}", node.uri);
+        let of_class: Vec<(u32, [DVec3; 3])> =
+            (0..tile.faces.len()).map(|f| (tile.feature_ids[tile.faces[f][0] as usize], tile.corners(f))).collect();
+        let deep_m = node.number("skirtDepth").expect("a number") * 3.0 + 1e-3;
+        for face in tile.skirts.iter().step_by(17) {
+            skirts += 1;
+            let corners = face.map(|v| tile.positions[v as usize]);
+            let class = tile.feature_ids[face[0] as usize] - 4;
+            let own = of_class.iter().filter(|(c, _)| *c == class);
+            let near = own.map(|(_, t)| {
+                corners.iter().map(|p| (closest_on_triangle(*p, t) - *p).length()).fold(f64::INFINITY, f64::min)
+            });
+            assert!(near.fold(f64::INFINITY, f64::min) < 1e-6, "a skirt of {} hangs from nothing", node.uri);
+            let upright = (0..2).any(|k| corners.iter().all(|p| (p[k] - corners[0][k]).abs() < ROUNDING_M));
+            assert!(upright, "a skirt of {} leaves its wall: {corners:?}", node.uri);
+            assert!((corners[1] - corners[0]).length() > 0.0 && deep_m > 0.0);
+        }
+    }
+    assert!(skirts > 50, "{skirts}");
+}

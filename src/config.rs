@@ -51,6 +51,10 @@ pub struct WriteConfig {
     /// k in `geometricError` = max(geometry, k·texel): the screen-space error, in pixels, of the viewer the tileset is
     /// for. Default: 16, CesiumJS's own; use 1 or 2 for viewers that ask for one or two pixels.
     pub texel_factor: f64,
+    /// A simplified tile's texture shrinks until the file has at most this many bytes. Default: 1 500 000.
+    pub tile_bytes: u64,
+    /// The same of the root, the first thing a viewer loads. Default: 500 000.
+    pub root_bytes: u64,
     /// Credit to show, added to any found in the input.
     pub copyright: String,
 }
@@ -62,6 +66,8 @@ impl Default for WriteConfig {
             primitives_per_class: false,
             normals: false,
             texel_factor: 16.0,
+            tile_bytes: 1_500_000,
+            root_bytes: 500_000,
             copyright: String::new(),
         }
     }

@@ -25,9 +25,9 @@ use crate::input::{DEFAULT_COLOR, ImageRef, Material};
 use crate::report::{Reporter, Stage};
 use crate::store::Store;
 use crate::texture::Images;
-use crate::tiles::content::{Apart, ClassDeviation, MadeTile, Maker, Reference};
+use crate::tiles::content::{Apart, ClassDeviation, Fit, MadeTile, Maker, Reference};
 use crate::tiles::skirt::Hem;
-use crate::write::{self, GlbOptions};
+use crate::write::{self, GlbOptions, TileContent};
 use crate::{Error, Result};
 
 /// Memory one tile in the making takes at most, about, bytes; a leaf takes a third of it.
@@ -124,8 +124,7 @@ impl Contents<'_> {
         }
         let (made, faults) = self.made(tile, known)?;
         let config = &self.job.config;
-        let options =
-            GlbOptions { compress: config.write.compress, primitives_per_class: config.write.primitives_per_class };
+        let options = self.glb_options();
         // Rounding to the compressed grid is an error like any other.
         let rounding_m = if options.compress { write::quantization_error_m(&made.content) } else { 0.0 };
         let glb = write::glb(&made.content, &config.classes, &options);
@@ -155,6 +154,11 @@ impl Contents<'_> {
         Ok(record)
     }
 
+    fn glb_options(&self) -> GlbOptions {
+        let write = &self.job.config.write;
+        GlbOptions { compress: write.compress, primitives_per_class: write.primitives_per_class }
+    }
+
     fn made(&self, tile: usize, known: &[Option<Record>]) -> Result<(MadeTile, BTreeMap<u32, String>)> {
         let (node, hem, config) = (&self.nodes[tile], &self.hems[tile], self.job.config);
         let maker = Maker {
@@ -173,8 +177,17 @@ impl Contents<'_> {
         }
         let (source, images) = self.reference(&node.children, known)?;
         let mesh = surface(self.store, tile)?;
+        // The first view is one tile: it is kept small.
         let is_root = tile + 1 == self.nodes.len();
-        let made = maker.make_inner((&mesh, is_root), &source, hem, &self.view(&source, images))?;
+        let (atlas_px, most_bytes) = if is_root {
+            (config.texture.root_atlas_px, config.write.root_bytes)
+        } else {
+            (config.texture.coarse_atlas_px, config.write.tile_bytes)
+        };
+        let options = self.glb_options();
+        let bytes_of = |content: &TileContent| write::glb(content, &config.classes, &options).len() as u64;
+        let fit = Fit { atlas_px, most_bytes, bytes_of: &bytes_of };
+        let made = maker.make_inner(&mesh, &source, hem, &self.view(&source, images), &fit)?;
         Ok((made, BTreeMap::new()))
     }
 

@@ -15,6 +15,7 @@
 //! the leaves that lie along the cuts.
 
 use glam::DVec3;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::given::Given;
@@ -27,7 +28,7 @@ use crate::classes::{self, Classes, Confusion, scheme::BASE};
 use crate::config::Config;
 use crate::ids::ClassId;
 use crate::mesh::Mesh;
-use crate::planes;
+use crate::planes::{self, Grain};
 use crate::report::Reporter;
 use crate::store::Store;
 use crate::texture::Images;
@@ -51,8 +52,6 @@ pub(super) struct Labels {
 #[derive(Serialize, Deserialize)]
 struct Finished {
     regions: usize,
-    faces: usize,
-    median_edge_m: f64,
     /// Faces that somebody else labelled.
     given: usize,
 }
@@ -74,7 +73,8 @@ pub(super) fn label(city: &City, images: &Images, job: &Job, store: &Store, repo
     let config = job.config;
     front::warn(config, reporter);
     let given = job.labels.as_ref().map(|from| Given::of(from, &city.frame, &config.classes)).transpose()?;
-    let labeller = Labeller { city, images, config, given, store, reporter };
+    let grain = grain(city, config, store)?;
+    let labeller = Labeller { city, images, config, grain, given, store, reporter };
     let cells = city.leaves.iter().map(|l| Weighed { cell: l.cell, weight: l.faces as u64 }).collect();
     let windows = windows::split(&city.tree, cells, config.levels.window_faces as u64, false);
     let stage = reporter.stage("classes", windows.len() as u64);
@@ -95,8 +95,7 @@ pub(super) fn label(city: &City, images: &Images, job: &Job, store: &Store, repo
         all.push(finished);
         stage.step(1);
     }
-    let faces: usize = all.iter().map(|w| w.faces).sum();
-    let median_edge_m = all.iter().map(|w| w.median_edge_m * w.faces as f64).sum::<f64>() / faces.max(1) as f64;
+    let median_edge_m = grain.median_edge_m;
     if let Some(given) = labeller.given.as_ref().filter(|_| all.iter().all(|w| w.given == 0)) {
         return Err(given.nothing(&city.materials, &config.classes));
     }
@@ -108,11 +107,29 @@ pub(super) fn label(city: &City, images: &Images, job: &Job, store: &Store, repo
     Ok(Labels { median_edge_m, shares, accuracy })
 }
 
+/// Leaves whose grain is measured, evenly taken.
+const GRAIN_LEAVES: usize = 32;
+
+/// The grain of the whole: medians over some leaves, so that it does not depend on windows.
+fn grain(city: &City, config: &Config, store: &Store) -> Result<Grain> {
+    let some: Vec<u32> = city.leaves.iter().step_by(city.leaves.len() / GRAIN_LEAVES + 1).map(|l| l.cell).collect();
+    let grains: Result<Vec<Grain>> =
+        some.par_iter().map(|&cell| Ok(Grain::of(&leaf_mesh(store, cell)?, &config.planes))).collect();
+    let grains = grains?;
+    let median = |of: fn(&Grain) -> f64| {
+        let mut all: Vec<f64> = grains.iter().map(of).collect();
+        all.sort_unstable_by(f64::total_cmp);
+        all.get(all.len() / 2).copied().unwrap_or(1.0)
+    };
+    Ok(Grain { median_edge_m: median(|g| g.median_edge_m), noise_m: median(|g| g.noise_m) })
+}
+
 /// What windows are classified with.
 struct Labeller<'a> {
     city: &'a City,
     images: &'a Images<'a>,
     config: &'a Config,
+    grain: Grain,
     given: Option<Given<'a>>,
     store: &'a Store,
     reporter: &'a Reporter,
@@ -127,9 +144,9 @@ impl Labeller<'_> {
         let mut cells: Vec<u32> = window.iter().map(|w| w.cell).chain(halo).collect();
         cells.sort_unstable();
         let Joined { mut mesh, starts, face_colors } = self.joined(&cells)?;
-        align(&mut mesh, city.floor_m);
+        align(&mut mesh, city.floor_m, self.grain.median_edge_m.max(1.0));
         reporter.check()?;
-        let planes = planes::grow(&mesh, &config.planes);
+        let planes = planes::grow_part(&mesh, &config.planes, Some(self.grain));
         reporter.check()?;
         let scene = classes::Scene { mesh: &mesh, planes: &planes, face_colors: &face_colors };
         let mut classes = classes::classify(scene, &config.classes, &config.classify);
@@ -153,8 +170,7 @@ impl Labeller<'_> {
             page.put(&range.map(weight).collect::<Vec<f32>>())?;
             page.finish()?;
         }
-        let faces = window.iter().map(|w| w.weight as usize).sum();
-        Ok(Finished { regions: planes.regions.len(), faces, median_edge_m: planes.median_edge_m, given })
+        Ok(Finished { regions: planes.regions.len(), given })
     }
 
     /// The surface of several leaves as one mesh, without its texture.
@@ -198,10 +214,10 @@ struct Joined {
     face_colors: Vec<[u8; 3]>,
 }
 
-/// Adds a vertex of no face, so that the ground's grid begins at a whole metre wherever the window lies.
-fn align(mesh: &mut Mesh, floor_m: f64) {
+/// Adds a vertex of no face, so that the ground's grid begins at a whole cell wherever the window lies.
+fn align(mesh: &mut Mesh, floor_m: f64, cell_m: f64) {
     let low = mesh.positions.iter().copied().fold(DVec3::INFINITY, DVec3::min);
-    mesh.positions.push(low.floor().with_z(floor_m.floor()));
+    mesh.positions.push(((low / cell_m).floor() * cell_m).with_z(floor_m.floor()));
 }
 
 /// How much of the source is of each class, and how much of that is right where the source says so.
@@ -241,14 +257,15 @@ mod tests {
     use super::*;
     use crate::demo::{CityConfig, generate};
     use crate::geo::Georeference;
+    use crate::input::Source;
     use crate::pipeline::ingest::ingest;
     use crate::pipeline::{Feed, Job, Resources};
 
     /// Area that has the same class in windows of `window_faces` as in one window, as a share of all.
-    fn agreement(window_faces: usize) -> f64 {
+    fn agreement(source: Source, leaf_faces: usize, window_faces: usize) -> f64 {
         let folder = tempfile::tempdir().unwrap();
         let configured = |window_faces: usize| {
-            let sets = ["levels.leaf_faces=4000".to_owned(), format!("levels.window_faces={window_faces}")];
+            let sets = [format!("levels.leaf_faces={leaf_faces}"), format!("levels.window_faces={window_faces}")];
             Config::layered(None, &sets).unwrap()
         };
         let (uncut, cut) = (configured(usize::MAX >> 1), configured(window_faces));
@@ -263,7 +280,6 @@ mod tests {
             labels_are_truth: false,
             labels: None,
         };
-        let source = generate(&CityConfig::default()).source;
         let images = Images::new(source.images.clone(), &reporter);
         let store = Store::open(folder.path().join("work"), "token", false).unwrap();
         let city = ingest(Feed::Memory(source), &job(&uncut), &Resources::default(), &store, &reporter).unwrap();
@@ -288,7 +304,22 @@ mod tests {
 
     #[test]
     fn windows_give_the_classes_of_the_whole() {
-        let same = agreement(40_000);
+        let same = agreement(generate(&CityConfig::default()).source, 4_000, 40_000);
+        println!("{:.3} % of the area has the class it has in an uncut run", 100.0 * same);
+        assert!(same >= 0.999, "{same}");
+    }
+
+    #[test]
+    fn windows_give_the_classes_of_the_whole_on_a_real_scan() {
+        let Some(folder) = std::env::var_os("ROOFTILE_DATA").map(std::path::PathBuf::from) else {
+            eprintln!("SKIPPED: windows of a real scan; set ROOFTILE_DATA");
+            return;
+        };
+        let set = std::env::var("ROOFTILE_WINDOWS").unwrap_or("suncrest-house:400000".into());
+        let (name, window_faces) = set.split_once(':').unwrap();
+        let read = crate::input::InputConfig::default();
+        let source = crate::input::read(&[folder.join(name)], &read, &Reporter::new(true)).unwrap().0;
+        let same = agreement(source, 40_000, window_faces.parse().unwrap());
         println!("{:.3} % of the area has the class it has in an uncut run", 100.0 * same);
         assert!(same >= 0.999, "{same}");
     }

@@ -183,17 +183,14 @@ fn build_in(
     })
 }
 
-/// The first view should come at once, whatever the size of the city.
-const LARGEST_ROOT_BYTES: u64 = 500_000;
-/// A tile above this takes too long to come, bytes.
-const LARGEST_TILE_BYTES: u64 = 1_500_000;
-
 /// Says what the tree does not keep.
 fn warn_of(root: &TileEntry, config: &Config, out: &Path, reporter: &Reporter) {
-    if root.bytes > LARGEST_ROOT_BYTES {
+    let (root_bytes, tile_bytes) = (config.write.root_bytes, config.write.tile_bytes);
+    if root.bytes > root_bytes {
         let what = format!(
-            "the root has {} kB, 500 kB were wanted; lower levels.root_faces or texture.root_atlas_px",
-            root.bytes / 1000
+            "the root has {} kB, {} kB were wanted; lower levels.root_faces",
+            root.bytes / 1000,
+            root_bytes / 1000
         );
         reporter.warn("heavy-root", out, what);
     }
@@ -201,7 +198,7 @@ fn warn_of(root: &TileEntry, config: &Config, out: &Path, reporter: &Reporter) {
     let (mut heavy, mut worst) = (0, 0);
     while let Some(tile) = open.pop() {
         open.extend(&tile.children);
-        if tile.bytes > LARGEST_TILE_BYTES {
+        if tile.bytes > tile_bytes {
             heavy += 1;
             worst = worst.max(tile.bytes);
         }
@@ -220,8 +217,9 @@ fn warn_of(root: &TileEntry, config: &Config, out: &Path, reporter: &Reporter) {
         }
     }
     let what = format!(
-        "up to {:.1} MB, 1.5 MB were wanted; lower levels.leaf_texels or levels.leaf_faces",
-        worst as f64 / 1e6
+        "up to {:.1} MB, {:.1} MB were wanted; lower levels.leaf_texels, levels.leaf_faces or levels.tile_faces",
+        worst as f64 / 1e6,
+        tile_bytes as f64 / 1e6
     );
     reporter.warn_many("heavy-tiles", out, heavy, what);
 }

@@ -46,7 +46,7 @@ impl Gate {
 /// The largest distance from a plane, metres.
 fn distance(surface: &Surface, config: &PlanesConfig) -> f64 {
     // Half an edge is what a mesher's staircase needs; four times the median offset covers 99 % of Gaussian noise.
-    config.distance_m.unwrap_or((0.5 * surface.median_edge_m).max(4.0 * surface.noise_m).clamp(0.05, 0.5))
+    config.distance_m.unwrap_or((0.5 * surface.grain.median_edge_m).max(4.0 * surface.grain.noise_m).clamp(0.05, 0.5))
 }
 
 /// Regions of a mesh: the id per face and the planes, largest first.

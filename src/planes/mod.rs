@@ -131,9 +131,30 @@ impl PlanesConfig {
     }
 }
 
+/// The natural units of a mesh, from which thresholds follow.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Grain {
+    /// Median edge length, metres.
+    pub median_edge_m: f64,
+    /// Typical distance of a face's neighbours from its plane, metres: the noise at the scale of one edge.
+    pub noise_m: f64,
+}
+
+impl Grain {
+    /// Measures a mesh.
+    pub fn of(mesh: &Mesh, config: &PlanesConfig) -> Self {
+        normals::surface(mesh, config, None).grain
+    }
+}
+
 /// Finds the planes of a mesh.
 pub fn grow(mesh: &Mesh, config: &PlanesConfig) -> Planes {
-    let surface = normals::surface(mesh, config);
+    grow_part(mesh, config, None)
+}
+
+/// Finds the planes of a part of something larger whose grain is known.
+pub fn grow_part(mesh: &Mesh, config: &PlanesConfig, grain: Option<Grain>) -> Planes {
+    let surface = normals::surface(mesh, config, grain);
     let vertex_normals = normals::of_vertices(mesh, &surface);
     let (face_region, regions) = grow::regions(mesh, &surface, config);
     Planes {
@@ -141,6 +162,6 @@ pub fn grow(mesh: &Mesh, config: &PlanesConfig) -> Planes {
         face_region,
         regions,
         neighbours: surface.neighbours,
-        median_edge_m: surface.median_edge_m,
+        median_edge_m: surface.grain.median_edge_m,
     }
 }

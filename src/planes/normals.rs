@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::PlanesConfig;
+use super::{Grain, PlanesConfig};
 use crate::mesh::Mesh;
 use crate::mesh::topology::{self, NONE};
 
@@ -30,17 +30,15 @@ pub struct Surface {
     pub areas: Vec<f32>,
     /// How far the filtered surface is from flat at each face: 0 flat, about 1 at creases and in trees.
     pub bend: Vec<f32>,
-    /// Median edge length, metres.
-    pub median_edge_m: f64,
-    /// Typical distance of a face's neighbours from its plane, metres: the noise at the scale of one edge.
-    pub noise_m: f64,
+    /// Of the whole that the mesh is part of.
+    pub grain: Grain,
 }
 
 /// Measures and filters. Each sweep moves a normal towards its edge neighbours' mean, weighted by area,
 /// closeness (none beyond the radius) and agreement (none across right angles).
-pub fn surface(mesh: &Mesh, config: &PlanesConfig) -> Surface {
+pub fn surface(mesh: &Mesh, config: &PlanesConfig, known: Option<Grain>) -> Surface {
     let neighbours = topology::face_neighbours(mesh);
-    let median_edge_m = median_edge(mesh);
+    let median_edge_m = known.map_or_else(|| median_edge(mesh), |g| g.median_edge_m);
     let origin = mesh.positions.first().copied().unwrap_or(DVec3::ZERO);
     let raw: Vec<(Vec3, Place)> = per_face(mesh, |f| {
         let [a, b, c] = mesh.corners(f).map(|p| p - origin);
@@ -74,12 +72,16 @@ pub fn surface(mesh: &Mesh, config: &PlanesConfig) -> Surface {
         (n > 0).then(|| sum / n as f32)
     };
     let bend = per_face(mesh, |f| mean(f, &|g| 1.0 - normals[g].dot(normals[f])).unwrap_or(1.0));
-    let some = (0..mesh.faces.len()).step_by(mesh.faces.len() / SAMPLES + 1);
-    let offset = |f: usize| mean(f, &|g| (places[g].centre - places[f].centre).dot(normals[f]).abs()).unwrap_or(0.0);
-    let mut offsets: Vec<f32> = some.map(offset).collect();
-    let noise_m = f64::from(median(&mut offsets));
+    let measured = || {
+        let some = (0..mesh.faces.len()).step_by(mesh.faces.len() / SAMPLES + 1);
+        let offset =
+            |f: usize| mean(f, &|g| (places[g].centre - places[f].centre).dot(normals[f]).abs()).unwrap_or(0.0);
+        let mut offsets: Vec<f32> = some.map(offset).collect();
+        Grain { median_edge_m, noise_m: f64::from(median(&mut offsets)) }
+    };
+    let grain = known.unwrap_or_else(measured);
     let areas = places.iter().map(|place| place.area).collect();
-    Surface { neighbours, normals, areas, bend, median_edge_m, noise_m }
+    Surface { neighbours, normals, areas, bend, grain }
 }
 
 /// Vertex normals: the area-weighted mean of the filtered normals around.
@@ -136,7 +138,7 @@ mod tests {
                 mesh.faces.extend([[a, a + 5, a + 6], [a, a + 6, a + 1]]);
             }
         }
-        let surface = surface(&mesh, &PlanesConfig::default());
+        let surface = surface(&mesh, &PlanesConfig::default(), None);
         assert!(mesh.cross(3).normalize().z < 0.99, "the raw floor must be rough for this test to mean something");
         let worst = |faces: std::ops::Range<usize>, want: Vec3| {
             faces.map(|f| surface.normals[f].dot(want)).fold(1.0f32, f32::min)

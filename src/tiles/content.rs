@@ -107,6 +107,34 @@ pub struct Apart {
     pub sunk_m: f64,
 }
 
+/// How large a tile may be.
+pub struct Fit<'a> {
+    /// Largest atlas side, texels.
+    pub atlas_px: u32,
+    /// The tile's file has at most this many bytes, as far as a smaller texture can do it.
+    pub most_bytes: u64,
+    /// Bytes of the file.
+    pub bytes_of: &'a dyn Fn(&TileContent) -> u64,
+}
+
+/// Atlases are not made smaller than this for the sake of bytes, texels.
+const LEAST_ATLAS_PX: u32 = 256;
+
+impl Fit<'_> {
+    /// The atlas side at which a tile too large with one of `side_px` should fit; none if it fits, or cannot.
+    fn smaller(&self, made: &MadeTile, side_px: u32) -> Option<u32> {
+        let bytes = (self.bytes_of)(&made.content);
+        let atlas = made.content.atlas.as_ref().map_or(0, |a| a.len() as u64);
+        if bytes <= self.most_bytes || atlas == 0 || side_px <= LEAST_ATLAS_PX {
+            return None;
+        }
+        let wanted = (self.most_bytes + atlas).saturating_sub(bytes) as f64 / atlas as f64;
+        // Bytes fall a little slower than texels do.
+        let px = 0.95 * wanted.sqrt() * f64::from(side_px);
+        Some((px as u32).clamp(LEAST_ATLAS_PX, side_px - 1))
+    }
+}
+
 impl Maker<'_> {
     /// Makes a leaf: the source itself, its texels copied. `images` cover it.
     ///
@@ -138,10 +166,11 @@ impl Maker<'_> {
     /// Only a broken promise of the texture stage.
     pub fn make_inner(
         &self,
-        (mesh, is_root): (&TileMesh, bool),
+        mesh: &TileMesh,
         source: &Reference,
         hem: &Hem,
         images: &Images,
+        fit: &Fit,
     ) -> Result<MadeTile> {
         let tree = Bvh::new(&source.positions, &source.faces);
         let (classes, geometry_m) = self.measure(mesh, source, &tree);
@@ -151,24 +180,26 @@ impl Maker<'_> {
             labels: mesh.labels.clone(),
             ..Reference::default()
         };
-        let config = TextureConfig { max_atlas_px: self.atlas_px(is_root), ..self.texture.clone() };
-        let paint = if source.is_painted() {
-            let texel_m = (geometry_m / self.texel_factor).max(source.surface().texel_m(images));
-            let from = BakeSource { surface: source.surface(), bvh: &tree };
-            Some(bake(&patch.surface(), &from, images, texel_m, &config)?)
-        } else {
-            patch.vertex_colors = nearest_colors(&mesh.positions, source, &tree);
-            None
-        };
         // The errors of finer tiles hold what was moved already.
         let moved_m = if source.apart.is_empty() { self.moved_m } else { 0.0 };
-        Ok(self.assemble(&patch, paint, self.texture.coarse_jpeg_quality, (geometry_m, moved_m), classes, hem))
-    }
-
-    /// The first view is one tile: its texture is kept small.
-    fn atlas_px(&self, is_root: bool) -> u32 {
-        let px = if is_root { self.texture.root_atlas_px } else { self.texture.coarse_atlas_px };
-        px.min(self.texture.max_atlas_px)
+        let quality = self.texture.coarse_jpeg_quality;
+        if !source.is_painted() {
+            patch.vertex_colors = nearest_colors(&mesh.positions, source, &tree);
+            return Ok(self.assemble(&patch, None, quality, (geometry_m, moved_m), classes, hem));
+        }
+        let texel_m = (geometry_m / self.texel_factor).max(source.surface().texel_m(images));
+        let from = BakeSource { surface: source.surface(), bvh: &tree };
+        let mut max_atlas_px = fit.atlas_px.min(self.texture.max_atlas_px);
+        loop {
+            let config = TextureConfig { max_atlas_px, ..self.texture.clone() };
+            let paint = bake(&patch.surface(), &from, images, texel_m, &config)?;
+            let side_px = paint.atlas.width().max(paint.atlas.height());
+            let made = self.assemble(&patch, Some(paint), quality, (geometry_m, moved_m), classes.clone(), hem);
+            match fit.smaller(&made, side_px) {
+                Some(px) => max_atlas_px = px,
+                None => return Ok(made),
+            }
+        }
     }
 
     fn measure(&self, mesh: &TileMesh, source: &Reference, source_tree: &Bvh) -> (Vec<ClassDeviation>, f64) {

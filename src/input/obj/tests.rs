@@ -480,7 +480,7 @@ fn public_bad_inputs_are_read_or_refused_in_time() {
         let mut source = Source::default();
         let started = Instant::now();
         let outcome = super::read(&object, &config, &reporter, &mut source);
-        assert!(started.elapsed() < Duration::from_secs(10), "{} takes too long", path.display());
+        assert!(started.elapsed() < Duration::from_secs(60), "{} takes too long", path.display());
         let warnings: Vec<_> = reporter.warnings().iter().map(|w| format!("{} {}", w.count, w.code)).collect();
         let shown = path.strip_prefix(&folder).unwrap().display();
         match outcome {

@@ -106,7 +106,9 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         Some(crs) => Georeference::parse(crs)?,
         None => georeference(&found)?,
     };
-    let front = Front::of(source, &georeference, &config, reporter)?;
+    // The PLY has greenness among its columns, and pictures show the input.
+    let shows_colors = args.tune.is_none() && (args.out.is_some() || args.figures.is_some());
+    let front = Front::of(source, &georeference, &config, shows_colors, reporter)?;
     if let Some(from) = &args.tune {
         return tuned(args, from, &found, &front, &config, json, reporter);
     }

@@ -19,6 +19,7 @@
 pub mod bounds;
 pub mod bvh;
 pub mod crs;
+pub mod eigen;
 pub mod ellipsoid;
 pub mod frame;
 pub mod georeference;

@@ -24,16 +24,22 @@ pub struct Front {
     pub frame: Frame,
     /// Its planar regions.
     pub planes: Planes,
-    /// Mean sRGB per face; empty where nothing has colour.
+    /// Mean sRGB per face; empty where nothing has colour or nobody looks at it.
     pub face_colors: Vec<[u8; 3]>,
 }
 
 impl Front {
-    /// Runs the stages.
+    /// Runs the stages. Images are decoded where the labelling looks at colours, or if `shows_colors`.
     ///
     /// # Errors
     /// A source without surface or outside its coordinate system, or a wish to stop.
-    pub fn of(source: Source, georeference: &Georeference, config: &Config, reporter: &Reporter) -> Result<Self> {
+    pub fn of(
+        source: Source,
+        georeference: &Georeference,
+        config: &Config,
+        shows_colors: bool,
+        reporter: &Reporter,
+    ) -> Result<Self> {
         let refs = source.images.clone();
         let (source, frame) = place(source, georeference, reporter)?;
         let (mesh, gate) = weld(source, config, reporter)?;
@@ -42,11 +48,14 @@ impl Front {
         let planes = planes::grow(&mesh, &config.planes);
         stage.finish(format!("{} regions, median edge {:.3} m", planes.regions.len(), planes.median_edge_m));
         reporter.check()?;
-        let stage = reporter.stage("colours", 0);
-        let images = Images::new(refs, reporter);
-        let face_colors = mean_colors(&Surface::from(&mesh), &images);
-        stage.finish(format!("{} images, {} faces with a colour", images.len(), face_colors.len()));
-        reporter.check()?;
+        let mut face_colors = Vec::new();
+        if shows_colors || looks_at_colors(&config.classes, &config.classify) {
+            let stage = reporter.stage("colours", 0);
+            let images = Images::new(refs, reporter);
+            face_colors = mean_colors(&Surface::from(&mesh), &images);
+            stage.finish(format!("{} images, {} faces with a colour", images.len(), face_colors.len()));
+            reporter.check()?;
+        }
         Ok(Self { mesh, gate, frame, planes, face_colors })
     }
 

@@ -2,6 +2,8 @@
 
 use glam::DVec3;
 
+use crate::geo::eigen::eigen;
+
 /// Area, first and second moments of a piece of surface about a fixed local origin (metres).
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Moments {
@@ -96,51 +98,10 @@ impl Moments {
         for i in 0..6 {
             covariance[i] = self.second[i] / self.area - outer[i];
         }
-        let (value, vector) = smallest_eigen(covariance);
+        let ([value, ..], vector) = eigen(covariance);
         let normal = if vector.dot(self.facing) < 0.0 { -vector } else { vector };
         Plane { normal, centroid, rms_m: value.max(0.0).sqrt() }
     }
-}
-
-/// Smallest eigenvalue and its unit vector of a symmetric matrix (xx, yy, zz, xy, xz, yz), by Jacobi rotations.
-fn smallest_eigen([xx, yy, zz, xy, xz, yz]: [f64; 6]) -> (f64, DVec3) {
-    let mut a = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
-    let mut vectors = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]];
-    let scale = (xx.abs() + yy.abs() + zz.abs()).max(f64::MIN_POSITIVE);
-    // Convergence is quadratic: six sweeps reach machine precision from anywhere.
-    for _ in 0..6 {
-        if a[0][1].abs() + a[0][2].abs() + a[1][2].abs() < 1e-14 * scale {
-            break;
-        }
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            if a[p][q].abs() < 1e-18 * scale {
-                continue;
-            }
-            let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-            let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-            let c = 1.0 / (t * t + 1.0).sqrt();
-            let s = t * c;
-            for row in &mut a {
-                (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
-            }
-            let (rp, rq) = (a[p], a[q]);
-            for k in 0..3 {
-                a[p][k] = c * rp[k] - s * rq[k];
-                a[q][k] = s * rp[k] + c * rq[k];
-            }
-            for row in &mut vectors {
-                (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
-            }
-        }
-    }
-    let mut least = 0;
-    for k in 1..3 {
-        if a[k][k] < a[least][least] {
-            least = k;
-        }
-    }
-    let vector = DVec3::new(vectors[0][least], vectors[1][least], vectors[2][least]);
-    (a[least][least], vector.normalize_or(DVec3::Z))
 }
 
 #[cfg(test)]

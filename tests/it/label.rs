@@ -313,6 +313,23 @@ fn figures_are_pictures_of_features_classes_and_regions() {
 }
 
 #[test]
+fn images_are_decoded_only_for_what_looks_at_colours() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let input = corner(folder.path());
+    let out = folder.path().join("out.ply");
+    let decodes = |more: &[&str]| {
+        let args = ["label", text(&input), "--json", "-q"];
+        let report = rooftile(args.iter().chain(more)).wants(0).json();
+        report["stages"].as_array().expect("stages").iter().any(|stage| stage["stage"] == "colours")
+    };
+    assert!(!decodes(&[]) && !decodes(&["--truth", "input"]));
+    assert!(decodes(&["--out", text(&out)]), "greenness is one of the columns");
+    let config = folder.path().join("classes.toml");
+    std::fs::write(&config, SPLIT).expect("a file");
+    assert!(decodes(&["--config", text(&config)]), "a class looks at greenness");
+}
+
+#[test]
 fn arguments_that_make_no_sense_end_in_usage_errors() {
     let folder = tempfile::tempdir().expect("a folder");
     let input = folder.path().join("box.obj");

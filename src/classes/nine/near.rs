@@ -8,6 +8,8 @@
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
+use crate::geo::eigen::eigen;
+
 /// Points a leaf holds: where scanning beats splitting.
 const LEAF: usize = 8;
 /// Below this a half is built on the same thread.
@@ -133,42 +135,7 @@ fn fit(points: impl Iterator<Item = DVec3> + Clone, origin: DVec3) -> Fit {
         (0..6).for_each(|k| m[k] += products[k] / count);
     }
     let (eigenvalues, normal) = eigen(m);
-    Fit { eigenvalues, normal, centroid: origin + mean }
-}
-
-/// Ascending eigenvalues of a symmetric matrix (xx, yy, zz, xy, xz, yz) and the unit vector of the least, by Jacobi
-/// rotations.
-pub fn eigen([xx, yy, zz, xy, xz, yz]: [f64; 6]) -> ([f64; 3], DVec3) {
-    let mut a = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]];
-    let mut vectors = [DVec3::X, DVec3::Y, DVec3::Z];
-    let tiny = 1e-15 * (xx + yy + zz);
-    // Convergence is quadratic: six sweeps reach rounding from anywhere.
-    for _ in 0..6 {
-        if a[0][1].abs() + a[0][2].abs() + a[1][2].abs() <= tiny {
-            break;
-        }
-        for (p, q) in [(0, 1), (0, 2), (1, 2)] {
-            if a[p][q] == 0.0 {
-                continue;
-            }
-            let theta = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
-            let t = theta.signum() / (theta.abs() + (theta * theta + 1.0).sqrt());
-            let c = 1.0 / (t * t + 1.0).sqrt();
-            let s = t * c;
-            for row in &mut a {
-                (row[p], row[q]) = (c * row[p] - s * row[q], s * row[p] + c * row[q]);
-            }
-            let (above, below) = (a[p], a[q]);
-            for k in 0..3 {
-                a[p][k] = c * above[k] - s * below[k];
-                a[q][k] = s * above[k] + c * below[k];
-            }
-            (vectors[p], vectors[q]) = (c * vectors[p] - s * vectors[q], s * vectors[p] + c * vectors[q]);
-        }
-    }
-    let mut order = [0, 1, 2];
-    order.sort_by(|i, j| a[*i][*i].total_cmp(&a[*j][*j]).then(i.cmp(j)));
-    (order.map(|i| a[i][i].max(0.0)), vectors[order[0]].normalize_or(DVec3::Z))
+    Fit { eigenvalues: eigenvalues.map(|value| value.max(0.0)), normal, centroid: origin + mean }
 }
 
 #[cfg(test)]

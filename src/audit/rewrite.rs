@@ -127,8 +127,8 @@ fn write(audit: &Audit, file: usize, error_m: &[f64], out: &Path) -> Result<()> 
     let tiles = &audit.tileset.tiles;
     let path = out.join(audit.tileset.files[file].path());
     let text = std::fs::read(&path).map_err(Error::io("read", &path))?;
-    let text = text.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(&text);
-    let mut json: Value = serde_json::from_slice(text).map_err(|e| Error::input(&path, format!("is no JSON: {e}")))?;
+    let (mut json, _): (Value, bool) =
+        super::read::mend::read(&text).map_err(|e| Error::input(&path, format!("is no JSON: {e}")))?;
     let is_root = |tile: usize| {
         let above = tiles[tile].parent.map(|parent| tiles[parent].file);
         tiles[tile].file as usize == file && above.is_none_or(|above| above as usize != file)

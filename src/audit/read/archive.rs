@@ -26,6 +26,11 @@ impl Archive {
         archive.map(|a| Self(Mutex::new(a))).map_err(|e| Refusal::new("broken-archive", format!("is no archive: {e}")))
     }
 
+    /// True if there is an entry at `path`.
+    pub fn has(&self, path: &str) -> bool {
+        lock(&self.0).index_for_name(path).is_some()
+    }
+
     /// The entry at `path`, unpacked, and its size in the archive.
     pub fn read(&self, path: &str) -> Result<(Vec<u8>, u64), Refusal> {
         let (method, packed, bytes) = self.packed(path)?;

@@ -57,17 +57,23 @@ fn word(bytes: &[u8], at: usize) -> Option<u32> {
 }
 
 fn b3dm(bytes: &[u8], job: &Job<'_>) -> Result<Vec<TileMesh>, Refusal> {
+    let stated = word(bytes, 8).map_or(0, |length| length as usize);
+    // Padding that one of the two does not count is common.
+    if stated.abs_diff(bytes.len()) >= 8 {
+        job.warn("b3dm-length", &format!("a b3dm says that it has {stated} bytes and has {}", bytes.len()));
+    }
     let (gltf, rtc_center) = split_b3dm(bytes)?;
     Ok(vec![mesh::read(gltf, rtc_center, job)?])
 }
 
 /// The glTF of a b3dm and its `RTC_CENTER`.
-pub fn split_b3dm(bytes: &[u8]) -> Result<(&[u8], DVec3), Refusal> {
+///
+/// What the header says of the whole length is not looked at, as a GLB knows its own; where its lengths of tables lead to
+/// nothing that is a glTF, the GLB is searched for.
+fn split_b3dm(bytes: &[u8]) -> Result<(&[u8], DVec3), Refusal> {
     let broken = |what: String| Refusal::new("broken-b3dm", what);
     let cut = || broken(format!("a b3dm of {} bytes is cut short", bytes.len()));
     let at = |at: usize| word(bytes, at).ok_or_else(cut);
-    let length = at(8)? as usize;
-    let bytes = bytes.get(..length).ok_or_else(cut)?;
     let sizes = [at(12)?, at(16)?, at(20)?, at(24)?];
     let (header, sizes) = match sizes {
         [_, batch_json, json_start, _] if json_start >= LEGACY_FROM => (20, [0, 0, batch_json, 0]),
@@ -79,13 +85,15 @@ pub fn split_b3dm(bytes: &[u8]) -> Result<(&[u8], DVec3), Refusal> {
     let mut from = header;
     let mut parts = [&bytes[..0]; 4];
     for (part, size) in parts.iter_mut().zip(sizes) {
-        let end = from.checked_add(size as usize).ok_or_else(cut)?;
-        *part = bytes.get(from..end).ok_or_else(cut)?;
+        let end = from.saturating_add(size as usize).min(bytes.len());
+        *part = &bytes[from.min(end)..end];
         from = end;
     }
-    let gltf = &bytes[from..];
-    if gltf.is_empty() {
-        return Err(broken("a b3dm holds no glTF".into()));
+    let is_gltf = |gltf: &[u8]| gltf.starts_with(b"glTF") || gltf.trim_ascii_start().starts_with(b"{");
+    let mut gltf = &bytes[from..];
+    if !is_gltf(gltf) {
+        let found = memchr::memmem::find(&bytes[header.min(bytes.len())..], b"glTF").map(|at| header + at);
+        gltf = &bytes[found.ok_or_else(|| broken("a b3dm holds no glTF".into()))?..];
     }
     Ok((gltf, rtc_center(parts[0], parts[1])?))
 }

@@ -1,24 +1,33 @@
 //! The tileset JSON as tilers write it, 1.0 and 1.1; wire format only.
 //!
-//! Lengths of arrays and the presence of members are looked at where they are used: one bad tile does not lose the rest.
+//! Lengths of arrays and the presence of members are looked at where they are used, and a member of a wrong type counts
+//! as missing: one bad tile does not lose the rest.
 
 use serde::Deserialize;
 use serde_json::Value;
 
+use super::mend::{content, loose, number, numbers, text};
+
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub struct Tileset {
+    #[serde(deserialize_with = "loose")]
     pub asset: Option<Asset>,
+    #[serde(deserialize_with = "number")]
     pub geometric_error: Option<f64>,
     pub root: Option<Tile>,
+    #[serde(deserialize_with = "loose")]
     pub extensions_required: Option<Vec<String>>,
 }
 
 #[derive(Debug, Default, Clone, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub struct Asset {
+    #[serde(deserialize_with = "text")]
     pub version: Option<String>,
+    #[serde(deserialize_with = "text")]
     pub generator: Option<String>,
+    #[serde(deserialize_with = "text")]
     pub gltf_up_axis: Option<String>,
     pub extras: Option<Value>,
 }
@@ -26,15 +35,23 @@ pub struct Asset {
 #[derive(Debug, Default, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub struct Tile {
+    #[serde(deserialize_with = "loose")]
     pub bounding_volume: Option<BoundingVolume>,
+    #[serde(deserialize_with = "number")]
     pub geometric_error: Option<f64>,
+    #[serde(deserialize_with = "text")]
     pub refine: Option<String>,
+    #[serde(deserialize_with = "numbers")]
     pub transform: Option<Vec<f64>>,
+    #[serde(deserialize_with = "content")]
     pub content: Option<Content>,
+    #[serde(deserialize_with = "loose")]
     pub contents: Option<Vec<Content>>,
     pub children: Option<Vec<Tile>>,
     pub metadata: Option<Value>,
+    #[serde(deserialize_with = "loose")]
     pub implicit_tiling: Option<Implicit>,
+    #[serde(deserialize_with = "loose")]
     pub extensions: Option<TileExtensions>,
 }
 
@@ -42,6 +59,7 @@ pub struct Tile {
 #[serde(default)]
 pub struct TileExtensions {
     #[serde(rename = "3DTILES_implicit_tiling")]
+    #[serde(deserialize_with = "loose")]
     pub implicit_tiling: Option<Implicit>,
     #[serde(rename = "3DTILES_multiple_contents")]
     pub multiple_contents: Option<MultipleContents>,
@@ -52,15 +70,18 @@ pub struct TileExtensions {
 pub struct MultipleContents {
     /// An early draft says `content`.
     #[serde(alias = "content")]
+    #[serde(deserialize_with = "loose")]
     pub contents: Option<Vec<Content>>,
 }
 
 #[derive(Debug, Default, Clone, Deserialize)]
 #[serde(default)]
 pub struct BoundingVolume {
-    #[serde(rename = "box")]
+    #[serde(rename = "box", deserialize_with = "numbers")]
     pub oriented_box: Option<Vec<f64>>,
+    #[serde(deserialize_with = "numbers")]
     pub region: Option<Vec<f64>>,
+    #[serde(deserialize_with = "numbers")]
     pub sphere: Option<Vec<f64>>,
     pub extensions: Option<Value>,
 }
@@ -68,9 +89,11 @@ pub struct BoundingVolume {
 #[derive(Debug, Default, Clone, Deserialize)]
 #[serde(rename_all = "camelCase", default)]
 pub struct Content {
+    #[serde(deserialize_with = "text")]
     pub uri: Option<String>,
     /// 3D Tiles before 1.0.
     pub url: Option<String>,
+    #[serde(deserialize_with = "loose")]
     pub bounding_volume: Option<BoundingVolume>,
 }
 

@@ -13,6 +13,7 @@ use super::classes::{Columns, Source};
 #[cfg(feature = "draco")]
 use super::draco::Unpacked;
 use super::gltf1::{self, Decode};
+use super::old_ways;
 use super::refusal::{Refusal, of_gltf, refuse};
 use super::store::{Address, MAX_FILE_BYTES, Stores};
 use super::textures::Images;
@@ -107,9 +108,8 @@ pub fn read(bytes: &[u8], rtc_center: DVec3, job: &Job<'_>) -> std::result::Resu
         Some(old) => (old.root, old.decode, old.bin),
         None => {
             let container = container::split(path, bytes, job.reporter).map_err(of_gltf)?;
-            let root: Root = serde_json::from_slice(container.json)
-                .map_err(|e| Refusal::new("broken-gltf", format!("its JSON is not that of a glTF: {e}")))?;
-            (root, Decode::new(), container.bin)
+            let (root, decode) = old_ways::read(container.json)?;
+            (root, decode, container.bin)
         }
     };
     check(&root)?;
@@ -153,7 +153,8 @@ fn check(root: &Root) -> std::result::Result<(), Refusal> {
             }
             return refuse_draco();
         }
-        if !KNOWN_EXTENSIONS.contains(&name.as_str()) && !name.starts_with(MATERIAL_EXTENSIONS) {
+        let is_known = KNOWN_EXTENSIONS.contains(&name.as_str()) || old_ways::KNOWN.contains(&name.as_str());
+        if !is_known && !name.starts_with(MATERIAL_EXTENSIONS) {
             return refuse("required-extension", format!("requires the extension {:?}", shorten(name)));
         }
     }

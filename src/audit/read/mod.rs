@@ -37,12 +37,16 @@ mod classes;
 mod content;
 #[cfg(feature = "draco")]
 mod draco;
+#[cfg(test)]
+mod exporters;
 mod gltf1;
 #[cfg(feature = "http")]
 mod http;
 mod implicit;
 mod json;
+pub(super) mod mend;
 mod mesh;
+mod old_ways;
 mod refusal;
 mod store;
 mod subtree;

@@ -129,7 +129,24 @@ impl Stores {
         if path.is_empty() || path.contains('\0') {
             return refuse("bad-uri", format!("the URI {:?} names no file", shorten(uri)));
         }
-        Ok(Address { store: base.store, path })
+        let at = Address { store: base.store, path };
+        // Files are sometimes named as the URI is written: with %20, or with ?v=1.
+        if plain.len() != uri.len() && !self.has(&at) {
+            let as_written = join(&base.path, uri).map(|path| Address { store: base.store, path });
+            return Ok(as_written.filter(|other| !other.path.contains('\0') && self.has(other)).unwrap_or(at));
+        }
+        Ok(at)
+    }
+
+    /// True if a folder or archive has the file.
+    fn has(&self, at: &Address) -> bool {
+        match self.stores.get(at.store) {
+            Some(Store::Folder(folder)) => inside(folder, &at.path).is_ok_and(|path| path.is_file()),
+            Some(Store::Archive(archive)) => archive.has(&at.path),
+            #[cfg(feature = "http")]
+            Some(Store::Server(_)) => true,
+            None => false,
+        }
     }
 
     /// Opens the archive at `at` as a store of its own; returns where its tileset.json is.

@@ -10,23 +10,23 @@ use super::*;
 use crate::audit::structure::{self, StructureConfig};
 
 /// One triangle in glTF axes (y up): (1, 2, 3), (4, 2, 3), (1, 7, 3), with UVs over half of an image.
-const POSITIONS: [[f32; 3]; 3] = [[1.0, 2.0, 3.0], [4.0, 2.0, 3.0], [1.0, 7.0, 3.0]];
+pub(super) const POSITIONS: [[f32; 3]; 3] = [[1.0, 2.0, 3.0], [4.0, 2.0, 3.0], [1.0, 7.0, 3.0]];
 /// The same with z up, as tiles have it.
-const Z_UP: [[f64; 3]; 3] = [[1.0, -3.0, 2.0], [4.0, -3.0, 2.0], [1.0, -3.0, 7.0]];
-const UVS: [[f32; 2]; 3] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]];
+pub(super) const Z_UP: [[f64; 3]; 3] = [[1.0, -3.0, 2.0], [4.0, -3.0, 2.0], [1.0, -3.0, 7.0]];
+pub(super) const UVS: [[f32; 2]; 3] = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]];
 
-fn floats(values: &[f32]) -> Vec<u8> {
+pub(super) fn floats(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|v| v.to_le_bytes()).collect()
 }
 
-fn png() -> Vec<u8> {
+pub(super) fn png() -> Vec<u8> {
     let mut bytes = std::io::Cursor::new(Vec::new());
     image::RgbImage::new(8, 4).write_to(&mut bytes, image::ImageFormat::Png).unwrap();
     bytes.into_inner()
 }
 
 /// Positions, UVs, indices, PNG.
-fn body() -> Vec<u8> {
+pub(super) fn body() -> Vec<u8> {
     let mut bytes = floats(POSITIONS.as_flattened());
     bytes.extend(floats(UVS.as_flattened()));
     bytes.extend([0u16, 1, 2, 0].iter().flat_map(|i| i.to_le_bytes()));
@@ -37,7 +37,7 @@ fn body() -> Vec<u8> {
     bytes
 }
 
-fn gltf2() -> Value {
+pub(super) fn gltf2() -> Value {
     json!({
         "asset": { "version": "2.0" },
         "scene": 0, "scenes": [{ "nodes": [0] }], "nodes": [{ "mesh": 0 }],
@@ -57,7 +57,7 @@ fn gltf2() -> Value {
     })
 }
 
-fn glb(json: &Value, bin: &[u8]) -> Vec<u8> {
+pub(super) fn glb(json: &Value, bin: &[u8]) -> Vec<u8> {
     let mut text = json.to_string().into_bytes();
     text.resize(text.len().next_multiple_of(4), b' ');
     let mut bytes = b"glTF".to_vec();
@@ -73,7 +73,7 @@ fn glb(json: &Value, bin: &[u8]) -> Vec<u8> {
 }
 
 /// The same triangle in glTF 1.0, binary, with a shader, as the first tilers wrote it.
-fn glb1() -> Vec<u8> {
+pub(super) fn glb1() -> Vec<u8> {
     let json = json!({
         "asset": { "version": "1.0" }, "extensionsUsed": ["KHR_binary_glTF"],
         "scene": "defaultScene", "scenes": { "defaultScene": { "nodes": ["n"] } }, "nodes": { "n": { "meshes": ["m"] } },
@@ -106,7 +106,7 @@ fn glb1() -> Vec<u8> {
     bytes
 }
 
-fn b3dm(gltf: &[u8], feature_table: &str) -> Vec<u8> {
+pub(super) fn b3dm(gltf: &[u8], feature_table: &str) -> Vec<u8> {
     let batch_table = br#"{"name":["a"]}  "#;
     let sizes = [feature_table.len(), 0, batch_table.len(), 0];
     let total = 28 + sizes.iter().sum::<usize>() + gltf.len();
@@ -120,7 +120,7 @@ fn b3dm(gltf: &[u8], feature_table: &str) -> Vec<u8> {
     bytes
 }
 
-fn cmpt(tiles: &[Vec<u8>]) -> Vec<u8> {
+pub(super) fn cmpt(tiles: &[Vec<u8>]) -> Vec<u8> {
     let mut bytes = b"cmpt".to_vec();
     for word in [1, 16 + tiles.iter().map(Vec::len).sum::<usize>(), tiles.len()] {
         bytes.extend((word as u32).to_le_bytes());
@@ -129,16 +129,16 @@ fn cmpt(tiles: &[Vec<u8>]) -> Vec<u8> {
     bytes
 }
 
-fn leaf(uri: &str) -> Value {
+pub(super) fn leaf(uri: &str) -> Value {
     json!({ "boundingVolume": { "box": [0, 0, 0, 9, 0, 0, 0, 9, 0, 0, 0, 9] }, "geometricError": 0, "content": { "uri": uri } })
 }
 
-fn tileset(root: Value) -> Value {
+pub(super) fn tileset(root: Value) -> Value {
     json!({ "asset": { "version": "1.0" }, "geometricError": 8, "root": root })
 }
 
 /// A folder of files.
-fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
+pub(super) fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
     let temp = tempfile::tempdir().unwrap();
     for (name, bytes) in files {
         let path = temp.path().join(name);
@@ -148,18 +148,18 @@ fn folder(files: &[(&str, Vec<u8>)]) -> tempfile::TempDir {
     temp
 }
 
-fn text(value: Value) -> Vec<u8> {
+pub(super) fn text(value: Value) -> Vec<u8> {
     value.to_string().into_bytes()
 }
 
 /// Loads the content `bytes` of a one-tile set.
-fn load(name: &str, bytes: Vec<u8>) -> Result<Vec<TileMesh>, Refusal> {
+pub(super) fn load(name: &str, bytes: Vec<u8>) -> Result<Vec<TileMesh>, Refusal> {
     let temp = folder(&[("tileset.json", text(tileset(leaf(name)))), (name, bytes)]);
     open(temp.path()).unwrap().load(0, &Reporter::new(true))
 }
 
 #[track_caller]
-fn same(found: &[DVec3], wanted: &[[f64; 3]]) {
+pub(super) fn same(found: &[DVec3], wanted: &[[f64; 3]]) {
     assert_eq!(found.len(), wanted.len());
     for (found, &wanted) in found.iter().zip(wanted) {
         assert!(found.distance(wanted.into()) < 1e-6, "{found} {wanted:?}");
@@ -167,7 +167,7 @@ fn same(found: &[DVec3], wanted: &[[f64; 3]]) {
 }
 
 #[track_caller]
-fn is_the_triangle(mesh: &TileMesh) {
+pub(super) fn is_the_triangle(mesh: &TileMesh) {
     same(&mesh.positions, &Z_UP);
     assert_eq!(mesh.faces, [[0, 1, 2]]);
     assert_eq!(mesh.uvs, UVS.map(Vec2::from));

@@ -7,6 +7,7 @@ use glam::DMat4;
 
 use super::implicit;
 use super::json;
+use super::mend;
 use super::refusal::{Refusal, refuse};
 use super::store::{Address, Stores};
 use super::volume::{Volume, largest_scale};
@@ -111,9 +112,12 @@ impl<'a> Walker<'a> {
     fn read_file(&mut self, at: &Address, parent: Option<usize>) -> std::result::Result<(), Refusal> {
         let fetched = self.stores.fetch(at)?;
         self.charge(fetched.bytes.len() as u64)?;
-        let text = fetched.bytes.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(&fetched.bytes);
-        let wire: json::Tileset = serde_json::from_slice(text)
+        let (wire, is_mended): (json::Tileset, bool) = mend::read(&fetched.bytes)
             .map_err(|e| Refusal::new("broken-tileset", format!("{} is no tileset: {e}", at.path)))?;
+        if is_mended {
+            let what = format!("{} is no sound JSON; it was read as it is meant, which viewers do not do", at.path);
+            self.reporter.warn("json-mended", Path::new(&at.path), what);
+        }
         let Some(root) = wire.root else { return refuse("broken-tileset", format!("{} has no root tile", at.path)) };
         let above = parent.map(|tile| self.tiles[tile].file);
         let asset = wire.asset.unwrap_or_default();

@@ -1,7 +1,11 @@
+use glam::{DVec2, DVec3};
+
 use super::*;
+use crate::classes::Classes;
+use crate::geo::Rect;
 use crate::geo::bvh::Bvh;
-use crate::ids::ClassScheme;
-use crate::mesh::on_grid;
+use crate::ids::{ClassId, ClassScheme};
+use crate::mesh::{Mesh, on_grid};
 
 /// A bumpy square of n × n cells, 1 m each, with a box-like step in it.
 fn terrain(n: u32) -> Mesh {
@@ -351,18 +355,12 @@ fn a_sequence_replays_to_every_cut() {
         ..SimplifyConfig::default()
     };
     let all = simplify(&mesh, &classes, &config(20)).sequence.unwrap();
+    let source = Mesh { positions: all.positions, faces: all.faces, ..Mesh::default() };
     for faces in [600, 300, 100, 20] {
         let cut = simplify(&mesh, &classes, &config(faces));
-        let events = cut.sequence.as_ref().unwrap().events.len();
-        assert_eq!(all.events[..events], cut.sequence.as_ref().unwrap().events[..], "a cut is a prefix");
-        let mut log = CollapseLog { folded: all.folded.clone(), ..CollapseLog::default() };
-        log.events = all
-            .events
-            .iter()
-            .map(|e| Collapse { kept: e.kept, gone: e.gone, position: e.position, energy: e.energy, share: 0.0 })
-            .collect();
-        let source = Mesh { positions: all.positions.clone(), faces: all.faces.clone(), ..Mesh::default() };
-        let (positions, replayed) = log.replay(&source, events);
+        let own = &cut.sequence.as_ref().unwrap().log.events;
+        assert_eq!(all.log.events[..own.len()], own[..], "a cut is a prefix");
+        let (positions, replayed) = all.log.replay(&source, own.len());
         let place = |v: &u32| positions[*v as usize];
         let live: Vec<[DVec3; 3]> = cut.faces.iter().map(|f| f.map(|v| cut.positions[v as usize])).collect();
         assert_eq!(replayed.iter().map(|(_, f)| f.each_ref().map(place)).collect::<Vec<_>>(), live);

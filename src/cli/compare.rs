@@ -5,11 +5,14 @@ use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
+use super::look::{Alike, Looks};
 use super::{Outcome, print, print_json};
+use crate::draw::png;
 use crate::ids::{ClassId, ClassScheme};
 use crate::input::{self, InputConfig, Source};
 use crate::measure::{Comparison, Figures, Interval, MeasureConfig, Quality, Reference, Summary, Surface};
 use crate::report::Reporter;
+use crate::write::output::Output;
 use crate::{Error, Result};
 
 #[derive(clap::Args)]
@@ -36,6 +39,12 @@ pub struct Args {
     /// Wanted width of certified intervals, metres. Default: 0.02, or 2e-4 of REF's diagonal where that is less.
     #[arg(long, value_name = "METRES", allow_negative_numbers = true)]
     tolerance: Option<f64>,
+    /// Also draw REF and SIMPLIFIED with their textures from so many places around, and say how alike the pictures are.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=360))]
+    views: Option<u32>,
+    /// The folder to make for those pictures, REF on the left.
+    #[arg(long, value_name = "DIR", requires = "views")]
+    pictures: Option<PathBuf>,
     /// Follow paths in the inputs that lead out of their folder.
     #[arg(long)]
     allow_outside: bool,
@@ -54,24 +63,39 @@ const MOST_SAMPLES: usize = 100_000_000;
 
 pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     let config = config(args)?;
+    let output = args.pictures.as_deref().map(|folder| Output::begin(folder, false)).transpose()?;
     let read = InputConfig { allow_outside: args.allow_outside, root: None };
     let stage = reporter.stage("input", 0);
     let (source, _) = input::read(std::slice::from_ref(&args.reference), &read, reporter)?;
     let labels = labels(args, &source, reporter)?;
     let (names, class) = labels.map(|l| named(&args.reference, &l)).transpose()?.unzip();
     let names = names.unwrap_or_default();
+    let looks = args.views.map(|n| Looks::of(&args.reference, &source, n, reporter)).transpose()?;
     let reference = Reference::new(&Surface { class, ..surface(source) });
     stage.finish(format!("{} triangles in {} classes", reference.quality().faces_in_file, names.len()));
 
     let mut compared = Vec::new();
-    for path in &args.simplified {
+    for (i, path) in args.simplified.iter().enumerate() {
         reporter.check()?;
         let stage = reporter.stage("measure", 0);
         let (source, _) = input::read(std::slice::from_ref(path), &read, reporter)?;
+        let alike = match &looks {
+            Some(looks) => {
+                let (alike, pictures) = looks.compare(path, &source, reporter)?;
+                for (view, picture) in pictures.iter().enumerate() {
+                    if let Some(output) = &output {
+                        output.write(&format!("{i}-{view:02}.png"), &png::bytes(picture)?)?;
+                    }
+                }
+                Some(alike)
+            }
+            None => None,
+        };
         let comparison = reference.compare(&surface(source), &config);
         stage.finish(format!("{}: {} triangles", path.display(), comparison.quality.faces_in_file));
-        compared.push(Compared { path: path.clone(), comparison });
+        compared.push(Compared { path: path.clone(), alike, comparison });
     }
+    output.map_or(Ok(()), Output::commit)?;
     let report = Report {
         reference: ReferenceReport {
             path: args.reference.clone(),
@@ -224,6 +248,8 @@ struct ReferenceReport {
 #[derive(Serialize)]
 struct Compared {
     path: PathBuf,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    alike: Option<Alike>,
     #[serde(flatten)]
     comparison: Comparison,
 }
@@ -273,6 +299,9 @@ impl Compared {
         let share = 100.0 * c.face_share;
         writeln!(f, "{}: {} faces, {share:.2} %", self.path.display(), c.quality.faces_in_file)?;
         writeln!(f, "{}", flaws(&c.quality))?;
+        if let Some(alike) = &self.alike {
+            writeln!(f, "{alike}")?;
+        }
         if let Some(n) = &c.normals {
             let (half, over) = (100.0 * n.share_above_30, 100.0 * n.share_above_90);
             let (mean, p95) = (n.mean_deg, n.p95_deg);

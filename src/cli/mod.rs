@@ -10,6 +10,7 @@ mod demo;
 mod experiment;
 mod inspect;
 mod label;
+mod look;
 mod replay;
 mod serve;
 mod simplify;

@@ -8,12 +8,13 @@ use serde_json::json;
 use super::{Outcome, print, print_json};
 use crate::classes::{self, Classes, ClassesConfig};
 use crate::collapse::record::{self, About, MAX_CLASSES};
-use crate::collapse::{self, Sequence, Simplified, SimplifyConfig, Target};
+use crate::collapse::{self, Simplified, SimplifyConfig, Target};
 use crate::config::Config;
 use crate::geo::Aabb;
 use crate::ids::{ClassId, ClassScheme};
-use crate::input::{self, ImageRef, InputConfig, Source};
+use crate::input::{self, ImageRef, InputConfig, Source, label_names};
 use crate::mesh::{self, GRID_PER_M, GateConfig, Mesh};
+use crate::pipeline::given::classes_of_labels;
 use crate::planes::{self, PlanesConfig};
 use crate::report::Reporter;
 use crate::texture::{Images, Surface, TextureConfig, encode_jpeg, paint_cut};
@@ -43,8 +44,9 @@ pub struct Args {
     /// How edges are ranked and placed.
     #[arg(long, value_enum, default_value = "semantic")]
     method: Method,
-    /// Classes of the input's triangles, in its order: one number a line, or a mesh with labels. Numbers are class ids
-    /// if 0 is among them, else SUM's. Default: those in the input, else by its shape.
+    /// Classes of the input's triangles, in its order: one number a line, or a mesh with labels. Numbers mean what a
+    /// PLY's header says, else class ids if 0 is among them and none is beyond the last, else SUM's. Default: those in the
+    /// input, else by its shape.
     #[arg(long, value_name = "FILE")]
     labels: Option<PathBuf>,
     /// Metres that a class may deviate at scale 1, for those named: what is strict gets the triangles. Equal budgets treat
@@ -188,15 +190,11 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         return Err(Error::Config(format!("--method {}: it {what}", args.method.name())));
     }
 
-    let mut config = Config::default();
-    if let Some(budgets) = &args.budget {
-        config.set_budgets(budgets)?;
-    }
-
+    let scheme = scheme(args.budget.as_deref())?;
     let wanted = |mesh: &Mesh| are_classes_wanted(mesh, args);
     let front = front(&args.inputs, args.labels.as_deref(), args.allow_outside, wanted, reporter)?;
     let Front { mesh, mut classes, gate, origin, images: refs } = front;
-    classes.scheme = config.classes;
+    classes.scheme = scheme;
     let is_painted = format != Format::Ply && !args.no_texture && Surface::from(&mesh).is_painted();
     if is_painted {
         let taken: Vec<PathBuf> = files_of(&refs).into_iter().chain(args.record.clone()).collect();
@@ -247,7 +245,7 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         "method": args.method.name(),
         "source_faces": mesh.faces.len(),
         "faces": plain.faces.len(),
-        "collapses": simple.sequence.as_ref().map(|s| s.events.len()),
+        "collapses": simple.sequence.as_ref().map(|s| s.log.events.len()),
         "bounds_m": bounds_by_name(&about, &bounds),
         "bytes": bytes,
         "texture": texture.as_ref().map(|t| json!({ "size_px": t.size_px, "texel_m": t.texel_m })),
@@ -262,6 +260,13 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         print(&text(plain.faces.len(), &about, &bounds))?
     }
     Ok(Outcome::Fine)
+}
+
+/// The default classes with the budgets asked for.
+pub(super) fn scheme(budgets: Option<&str>) -> Result<ClassScheme> {
+    let mut config = Config::default();
+    budgets.map_or(Ok(()), |budgets| config.set_budgets(budgets))?;
+    Ok(config.classes)
 }
 
 /// A mesh behind the gate with its classes, ready to be simplified.
@@ -289,8 +294,10 @@ pub(super) fn front(
     let stage = reporter.stage("input", 0);
     let read = InputConfig { allow_outside, root: None };
     let (mut source, found) = input::read(inputs, &read, reporter)?;
+    let mut files = found.files.clone();
     if let Some(path) = labels {
         give_labels(&mut source, path, reporter)?;
+        files = vec![path.to_path_buf()];
     }
     let triangles: usize = source.parts.iter().map(|p| p.faces.len()).sum();
     stage.finish(format!("{} files, {triangles} triangles", found.files.len()));
@@ -299,7 +306,7 @@ pub(super) fn front(
     let origin = to_local(&mut source)?;
     let images = std::mem::take(&mut source.images);
     let (mesh, gate) = mesh::gate(source, &GateConfig::default(), reporter)?;
-    let classes = classify(&mesh, labels, wanted(&mesh), reporter)?;
+    let classes = classify(&mesh, &files, wanted(&mesh), reporter)?;
     reporter.check()?;
     Ok(Front { mesh, classes, gate, origin, images })
 }
@@ -364,8 +371,8 @@ fn target(args: &Args, mesh: &Mesh, scheme: &ClassScheme) -> Target {
 fn bounds(simple: &Simplified, about: &About) -> [f64; MAX_CLASSES] {
     let mut most = [0f64; MAX_CLASSES];
     match &simple.sequence {
-        Some(Sequence { events, .. }) => events.iter().for_each(|event| {
-            most.iter_mut().zip(event.deviation_m).for_each(|(m, d)| *m = m.max(f64::from(d)));
+        Some(sequence) => sequence.log.deviations_m.iter().for_each(|deviations_m| {
+            most.iter_mut().zip(deviations_m).for_each(|(m, d)| *m = m.max(f64::from(*d)));
         }),
         None => most.iter_mut().zip(&about.scheme.0).for_each(|(m, c)| *m = simple.scale * c.budget_m),
     }
@@ -407,8 +414,8 @@ fn to_local(source: &mut Source) -> Result<DVec3> {
     Ok(origin)
 }
 
-/// Classes as given, or by shape.
-fn classify(mesh: &Mesh, labels: Option<&Path>, wanted: bool, reporter: &Reporter) -> Result<Classes> {
+/// Classes as labelled, by numbers out of `files`, or by shape.
+fn classify(mesh: &Mesh, files: &[PathBuf], wanted: bool, reporter: &Reporter) -> Result<Classes> {
     let scheme = ClassScheme::default();
     if !wanted {
         return Ok(in_classes(scheme, vec![ClassId::TERRAIN; mesh.faces.len()]));
@@ -419,7 +426,9 @@ fn classify(mesh: &Mesh, labels: Option<&Path>, wanted: bool, reporter: &Reporte
         reporter.check()?;
         classes::label(mesh, &planes, &scheme, &ClassesConfig::default())
     } else {
-        in_classes(scheme, classes_of_labels(mesh, labels)?)
+        let names = label_names::names_of(&mesh.face_labels, files, &scheme)?;
+        let classes = classes_of_labels(mesh, &names, &scheme)?;
+        in_classes(scheme, classes)
     };
     stage.finish(String::from(if mesh.face_labels.is_empty() { "by shape" } else { "as labelled" }));
     Ok(classes)
@@ -434,27 +443,6 @@ fn are_classes_wanted(mesh: &Mesh, args: &Args) -> bool {
 fn in_classes(scheme: ClassScheme, label: Vec<ClassId>) -> Classes {
     let posterior = label.iter().flat_map(|c| scheme.ids().map(move |of| if of == *c { 1.0 } else { 0.0 })).collect();
     Classes { scheme, posterior, label }
-}
-
-/// Above this z of its normal a face of a `building` is roof, and below it wall: 17° from upright.
-const UPRIGHT: f64 = 0.3;
-
-/// Class ids as they are, or SUM's numbers (1 terrain, 2 high vegetation, 3 building, 4 water, 5 vehicle, 6 boat).
-fn classes_of_labels(mesh: &Mesh, path: Option<&Path>) -> Result<Vec<ClassId>> {
-    let are_ids = mesh.face_labels.contains(&0);
-    let class = |(f, &label): (usize, &i16)| match (are_ids, label) {
-        (true, 0..=3) => Ok(ClassId(label as u8)),
-        (false, 1 | 4) => Ok(ClassId::TERRAIN),
-        (false, 3) if mesh.cross(f).normalize_or_zero().z > UPRIGHT => Ok(ClassId::ROOF),
-        (false, 3) => Ok(ClassId::FACADE),
-        (false, 2 | 5 | 6) | (_, -1) => Ok(ClassId::CLUTTER),
-        _ => {
-            let wanted = if are_ids { "class ids from 0 to 3" } else { "SUM's numbers from 1 to 6" };
-            let what = format!("a triangle has the label {label}, wanted {wanted}, or -1 for none");
-            Err(path.map_or_else(|| Error::Config(what.clone()), |p| Error::input(p, what.clone())))
-        }
-    };
-    mesh.face_labels.iter().enumerate().map(class).collect()
 }
 
 /// Replaces the labels of `source` by those in `path`.

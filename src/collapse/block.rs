@@ -15,9 +15,8 @@ use glam::DVec3;
 
 use super::energy::{Facet, Quadric};
 use super::queue::{Candidate, Queue};
-use super::simplify::MOST_CLASSES;
 use super::star::Stars;
-use super::{Collapse, NONE};
+use super::{Collapse, MOST_CLASSES, NONE};
 use crate::geo::Rect;
 
 /// A vertex that must not move: faces outside the block use it, or two walls cross in it.
@@ -124,8 +123,8 @@ pub struct Sample {
     pub squared_m2: f32,
     /// The face it rides on.
     pub face: u32,
-    /// Its class.
-    pub class: u8,
+    /// The classes of the faces around it in the source, a bit each; the last bit stands for all later ones.
+    pub classes: u8,
 }
 
 /// How many faces a vertex shares with the ends of the edge under test; valid while `stamp` is the run's.
@@ -188,7 +187,7 @@ pub struct Collapsed<'a> {
     pub log: Vec<Collapse>,
     /// Faces that died because they folded onto others: index into `log`, face.
     pub folded: Vec<(u32, u32)>,
-    /// Per event, if recorded: largest deviation of a sample that it moved, by class, metres.
+    /// Per event, if recorded: see [`CollapseLog`](super::CollapseLog).
     pub deviations: Vec<[f32; MOST_CLASSES]>,
     /// Scale reached.
     pub scale: f64,
@@ -526,8 +525,10 @@ impl<'a> Run<'a> {
         if self.block.rules.recorded {
             let mut squared = [0f64; MOST_CLASSES];
             for &(s, _, far) in &self.moved {
-                let class = usize::from(self.block.samples[s as usize].class).min(MOST_CLASSES - 1);
-                squared[class] = squared[class].max(far);
+                let classes = self.block.samples[s as usize].classes;
+                for (_, most) in squared.iter_mut().enumerate().filter(|(c, _)| classes >> c & 1 != 0) {
+                    *most = most.max(far);
+                }
             }
             self.deviations.push(squared.map(|s| s.sqrt() as f32));
         }

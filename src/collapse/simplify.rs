@@ -29,14 +29,14 @@ use glam::DVec3;
 use serde::{Deserialize, Serialize};
 
 use super::block::{BORDER, Block, Collapsed, Energy, Limit, Rules, Sample};
+use super::blocks::border_of;
 use super::refit::{self, Point};
-use super::{NONE, Samples, border_of};
+use super::samples::Samples;
+use super::{CollapseLog, NONE, Sequence};
 use crate::classes::Classes;
 use crate::ids::ClassId;
 use crate::mesh::{GRID_PER_M, Mesh};
 
-/// Most classes that an event keeps deviations of.
-pub const MOST_CLASSES: usize = 8;
 /// The limit starts at this share of the median edge: below it nothing collapses.
 const FIRST_LIMIT_EDGES: f64 = 0.25;
 
@@ -89,40 +89,6 @@ impl Default for SimplifyConfig {
     }
 }
 
-/// One collapse of a [`Sequence`].
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Event {
-    /// Vertex that stays.
-    pub kept: u32,
-    /// Vertex that merges into it.
-    pub gone: u32,
-    /// Where `kept` is afterwards, local metres, on the grid.
-    pub position: DVec3,
-    /// Energy at which it was done, m² · m² per squared budget.
-    pub energy: f32,
-    /// Largest deviation of a sample that it moved, by class, metres.
-    pub deviation_m: [f32; MOST_CLASSES],
-}
-
-/// The record of a simplification: any prefix of `events` is a valid mesh.
-#[derive(Debug, Clone, Default)]
-pub struct Sequence {
-    /// Vertices of the source, on the grid, in Morton order.
-    pub positions: Vec<DVec3>,
-    /// Faces of the source.
-    pub faces: Vec<[u32; 3]>,
-    /// Class of each face.
-    pub labels: Vec<ClassId>,
-    /// Budget of each class at scale 1, metres.
-    pub budgets_m: Vec<f64>,
-    /// What was done, in order.
-    pub events: Vec<Event>,
-    /// Faces that an event folded onto others, so that they are gone though their corners differ: event, face. In order.
-    pub folded: Vec<(u32, u32)>,
-    /// Positions are multiples of this, metres.
-    pub grid_m: f64,
-}
-
 /// A cut.
 #[derive(Debug, Clone, Default)]
 pub struct Simplified {
@@ -148,8 +114,8 @@ pub fn simplify(mesh: &Mesh, classes: &Classes, config: &SimplifyConfig) -> Simp
     let (mesh, face_ids) = in_order(mesh, config.grid_m);
     let classes = classes.inherited(&face_ids);
     let plan = Plan::of(&mesh, &classes, config);
-    let done = plan.block(&mesh, &classes).collapse();
-    let sequence = config.record.then(|| sequence(&mesh, &classes, &done, config.grid_m));
+    let mut done = plan.block(&mesh, &classes).collapse();
+    let sequence = config.record.then(|| sequence(&mesh, &classes, &mut done, config.grid_m));
     plan.cut(&mesh, &classes, &face_ids, done, sequence)
 }
 
@@ -291,22 +257,19 @@ impl<'a> Plan<'a> {
     }
 }
 
-fn sequence(mesh: &Mesh, classes: &Classes, done: &Collapsed, grid_m: f64) -> Sequence {
-    let events = done.log.iter().zip(&done.deviations).map(|(e, deviation_m)| Event {
-        kept: e.kept,
-        gone: e.gone,
-        position: e.position,
-        energy: e.energy,
-        deviation_m: *deviation_m,
-    });
+fn sequence(mesh: &Mesh, classes: &Classes, done: &mut Collapsed, grid_m: f64) -> Sequence {
+    let log = CollapseLog {
+        events: std::mem::take(&mut done.log),
+        deviations_m: std::mem::take(&mut done.deviations),
+        folded: std::mem::take(&mut done.folded),
+        steps: Vec::new(),
+    };
     Sequence {
         positions: mesh.positions.clone(),
         faces: mesh.faces.clone(),
         labels: classes.label.clone(),
-        budgets_m: classes.scheme.0.iter().map(|c| c.budget_m).collect(),
-        events: events.collect(),
-        folded: done.folded.clone(),
         grid_m,
+        log,
     }
 }
 

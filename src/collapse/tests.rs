@@ -1,7 +1,12 @@
+use glam::{DVec2, DVec3};
+
+use super::window::{Patch, StepSettings, step};
 use super::*;
+use crate::classes::Classes;
+use crate::geo::Rect;
 use crate::geo::bvh::Bvh;
-use crate::ids::ClassScheme;
-use crate::mesh::on_grid;
+use crate::ids::{ClassId, ClassScheme};
+use crate::mesh::{Mesh, on_grid};
 
 /// A bumpy square of n × n cells, 1 m each, with a box-like step in it.
 fn terrain(n: u32) -> Mesh {
@@ -33,22 +38,41 @@ fn everywhere() -> Rect {
     Rect { min: DVec2::splat(-1e9), max: DVec2::splat(1e9) }
 }
 
-fn run<'a>(mesh: &'a Mesh, classes: &Classes, block_faces: usize, scales: &[f64]) -> Collapser<'a> {
-    let group = vec![0; mesh.faces.len()];
-    let boxes = [everywhere()];
-    let mut collapser = Collapser::new(mesh, &group, classes, &CollapseConfig { block_faces });
-    for &t in scales {
-        collapser.step(t, &Fences { group_of_face: &group, boxes: &boxes });
+/// The parts of a mesh whose faces have the numbers 0, 1 … in `group`.
+fn patches(mesh: &Mesh, group: &[u32]) -> Vec<Patch> {
+    let classes = one_class(mesh);
+    let budgets: Vec<f64> = classes.scheme.0.iter().map(|c| c.budget_m).collect();
+    let count = group.iter().max().map_or(0, |last| last + 1);
+    let of_group = |g: u32| {
+        let faces: Vec<[u32; 3]> = (0..group.len()).filter(|f| group[*f] == g).map(|f| mesh.faces[f]).collect();
+        let mut used: Vec<u32> = faces.iter().flatten().copied().collect();
+        used.sort_unstable();
+        used.dedup();
+        let positions = used.iter().map(|&v| mesh.positions[v as usize]).collect();
+        let faces: Vec<[u32; 3]> = faces.iter().map(|f| f.map(|v| used.binary_search(&v).unwrap() as u32)).collect();
+        let (labels, omega) = (vec![ClassId::TERRAIN; faces.len()], vec![100.0; faces.len()]);
+        Patch::of_source(positions, faces, labels, omega, &budgets)
+    };
+    (0..count).map(of_group).collect()
+}
+
+fn stepped(mut patches: Vec<Patch>, boxes: &[Rect], block_faces: usize, scales: &[f64]) -> Vec<Patch> {
+    for (i, &scale) in scales.iter().enumerate() {
+        let settings = StepSettings { scale, strictest_m: 0.05, classes: 4, block_faces, odd: i % 2 == 1 };
+        patches = step(patches, boxes, |_| false, &settings).0;
     }
-    collapser
+    patches
+}
+
+fn run(mesh: &Mesh, block_faces: usize, scales: &[f64]) -> Patch {
+    stepped(patches(mesh, &vec![0; mesh.faces.len()]), &[everywhere()], block_faces, scales).remove(0)
 }
 
 #[test]
 fn samples_stay_within_their_budget() {
     let mesh = terrain(40);
-    let classes = one_class(&mesh);
     for t in [0.5, 2.0, 8.0] {
-        let cut = run(&mesh, &classes, 400, &[0.25, t]).cut();
+        let cut = run(&mesh, 400, &[0.25, t]);
         assert!(cut.faces.len() < mesh.faces.len(), "nothing collapsed at {t}");
         let bvh = Bvh::new(&cut.positions, &cut.faces);
         for p in &mesh.positions {
@@ -62,34 +86,18 @@ fn samples_stay_within_their_budget() {
 fn a_flat_square_needs_few_faces() {
     let mut mesh = terrain(30);
     mesh.positions.iter_mut().for_each(|p| p.z = 0.0);
-    let classes = one_class(&mesh);
-    assert!(run(&mesh, &classes, 10_000, &[1.0]).face_count() <= 60);
-}
-
-#[test]
-fn replay_equals_the_live_mesh() {
-    let mesh = terrain(40);
-    let classes = one_class(&mesh);
-    let collapser = run(&mesh, &classes, 500, &[0.3, 0.6, 1.2]);
-    let cut = collapser.cut();
-    let log = collapser.log();
-    let (positions, faces) = log.replay(&mesh, log.events.len());
-    assert_eq!(faces.iter().map(|f| f.1).collect::<Vec<_>>(), cut.faces);
-    assert_eq!(faces.iter().map(|f| f.0).collect::<Vec<_>>(), cut.face_ids);
-    for &v in cut.faces.iter().flatten() {
-        assert_eq!(positions[v as usize], cut.positions[v as usize]);
-    }
+    assert!(run(&mesh, 10_000, &[1.0]).faces.len() <= 60);
 }
 
 #[test]
 fn every_prefix_of_the_log_is_a_valid_mesh() {
     let mesh = terrain(20);
-    let classes = one_class(&mesh);
-    let collapser = run(&mesh, &classes, 200, &[0.5, 2.0]);
-    let log = collapser.log();
+    let cut = faces_at(&mesh, &one_class(&mesh), Method::Semantic, 40);
+    let Sequence { positions, faces, log, .. } = cut.sequence.unwrap();
+    let source = Mesh { positions, faces, ..Mesh::default() };
     let mut last = usize::MAX;
     for events in (0..=log.events.len()).step_by(7) {
-        let (_, faces) = log.replay(&mesh, events);
+        let (_, faces) = log.replay(&source, events);
         let mut keys: Vec<[u32; 3]> = faces.iter().map(|f| f.1).collect();
         keys.iter_mut().for_each(|k| k.sort_unstable());
         keys.sort_unstable();
@@ -102,7 +110,6 @@ fn every_prefix_of_the_log_is_a_valid_mesh() {
 #[test]
 fn walls_are_kept() {
     let mesh = terrain(32);
-    let classes = one_class(&mesh);
     let boxes: Vec<Rect> = (0..4)
         .map(|i| {
             let min = DVec2::new(f64::from(i % 2), f64::from(i / 2)) * 16.0;
@@ -115,26 +122,16 @@ fn walls_are_kept() {
             u32::from(c.x > 16.0) + 2 * u32::from(c.y > 16.0)
         })
         .collect();
-    let mut collapser = Collapser::new(&mesh, &group, &classes, &CollapseConfig { block_faces: 300 });
-    for t in [0.3, 1.0, 3.0, 9.0, 9.0] {
-        collapser.step(t, &Fences { group_of_face: &group, boxes: &boxes });
+    let cells = stepped(patches(&mesh, &group), &boxes, 300, &[0.3, 1.0, 3.0, 9.0, 9.0]);
+    let count: usize = cells.iter().map(|c| c.faces.len()).sum();
+    assert!(count < mesh.faces.len() / 10, "{count} faces");
+    for (cell, plan) in cells.iter().zip(&boxes) {
+        assert!(cell.positions.iter().all(|p| plan.contains(p.truncate(), 0.0)));
     }
-    let cut = collapser.cut();
-    assert!(cut.faces.len() < mesh.faces.len() / 10, "{} faces", cut.faces.len());
-    for (face, &id) in cut.faces.iter().zip(&cut.face_ids) {
-        let cell = &boxes[group[id as usize] as usize];
-        assert!(face.iter().all(|&v| cell.contains(cut.positions[v as usize].truncate(), 0.0)));
-    }
-    // The border of each group along x = 16 is the same set of vertices from both sides.
-    let along = |side: u32| {
-        let mut on: Vec<u32> = cut
-            .faces
-            .iter()
-            .zip(&cut.face_ids)
-            .filter(|(_, id)| group[**id as usize] % 2 == side)
-            .flat_map(|(f, _)| *f)
-            .collect();
-        on.retain(|&v| cut.positions[v as usize].x == 16.0);
+    // The border of each pair along x = 16 is the same set of vertices from both sides.
+    let along = |side: usize| {
+        let of_side = cells[side].positions.iter().chain(&cells[side + 2].positions);
+        let mut on: Vec<[u64; 3]> = of_side.filter(|p| p.x == 16.0).map(|p| p.to_array().map(f64::to_bits)).collect();
         on.sort_unstable();
         on.dedup();
         on
@@ -144,32 +141,20 @@ fn walls_are_kept() {
 }
 
 #[test]
-fn a_group_keeps_its_own_surface() {
+fn a_cell_keeps_its_own_surface() {
     // A ribbon that enters the western cell by 3 m only: without samples of its own that end could slip away east.
     let mut mesh = terrain(20);
     mesh.positions.iter_mut().for_each(|p| p.y *= 0.1);
-    let classes = one_class(&mesh);
     let wall = 3.0;
     let boxes = [DVec2::new(-10.0, -10.0), DVec2::new(wall, -10.0)]
         .map(|min| Rect { min, max: DVec2::new(if min.x < 0.0 { wall } else { 30.0 }, 30.0) });
     let group: Vec<u32> =
         (0..mesh.faces.len()).map(|f| u32::from(mesh.corners(f).iter().any(|p| p.x > wall))).collect();
-    let mut collapser = Collapser::new(&mesh, &group, &classes, &CollapseConfig { block_faces: 10_000 });
     let t = 20.0;
-    for scale in [2.0, 6.0, t, t] {
-        collapser.step(scale, &Fences { group_of_face: &group, boxes: &boxes });
-    }
-    let cut = collapser.cut();
-    for side in 0..2 {
-        let own: Vec<[u32; 3]> = cut
-            .faces
-            .iter()
-            .zip(&cut.face_ids)
-            .filter(|(_, id)| group[**id as usize] == side)
-            .map(|(f, _)| *f)
-            .collect();
-        let bvh = Bvh::new(&cut.positions, &own);
-        for (f, face) in mesh.faces.iter().enumerate().filter(|(f, _)| group[*f] == side) {
+    let cells = stepped(patches(&mesh, &group), &boxes, 10_000, &[2.0, 6.0, t, t]);
+    for (side, cell) in cells.iter().enumerate() {
+        let bvh = Bvh::new(&cell.positions, &cell.faces);
+        for (f, face) in mesh.faces.iter().enumerate().filter(|(f, _)| group[*f] as usize == side) {
             let worst = face
                 .iter()
                 .map(|&v| bvh.closest(mesh.positions[v as usize], f64::INFINITY).map_or(f64::INFINITY, |h| h.distance));
@@ -181,10 +166,10 @@ fn a_group_keeps_its_own_surface() {
 #[test]
 fn threads_do_not_change_the_result() {
     let mesh = terrain(40);
-    let classes = one_class(&mesh);
     let with = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| run(&mesh, &classes, 300, &[0.3, 1.0, 3.0]).log().events.clone())
+        let cut = pool.install(|| run(&mesh, 300, &[0.3, 1.0, 3.0]));
+        (cut.positions, cut.faces, cut.samples)
     };
     assert_eq!(with(1), with(2));
 }
@@ -192,9 +177,7 @@ fn threads_do_not_change_the_result() {
 #[test]
 fn an_open_border_does_not_shrink() {
     let mesh = terrain(30);
-    let classes = one_class(&mesh);
-    let cut = run(&mesh, &classes, 10_000, &[2.0]).cut();
-    let used: Vec<DVec3> = cut.faces.iter().flatten().map(|&v| cut.positions[v as usize]).collect();
+    let used = run(&mesh, 10_000, &[2.0]).positions;
     let low = used.iter().copied().fold(DVec3::INFINITY, DVec3::min);
     let high = used.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
     assert!(low.truncate().length() < 0.2 && (high.truncate() - 30.0).length() < 0.2, "{low} {high}");
@@ -211,8 +194,7 @@ fn cracked_borders_grow_together() {
     let twins: Vec<DVec3> = mesh.positions.iter().map(|p| on_grid(*p + DVec3::new(0.02, 0.0, 0.0))).collect();
     mesh.positions.extend(twins);
     mesh.faces = faces.iter().map(|f| if left(f, &mesh) { *f } else { f.map(|v| v + base) }).collect();
-    let classes = one_class(&mesh);
-    let open = |cut: &Cut| {
+    let open = |cut: &Patch| {
         let mut edges: Vec<(u32, u32)> = cut
             .faces
             .iter()
@@ -225,10 +207,9 @@ fn cracked_borders_grow_together() {
         };
         edges.chunk_by(|a, b| a == b).filter(|g| g.len() == 1 && inner(g[0].0) && inner(g[0].1)).count()
     };
-    let before =
-        Collapser::new(&mesh, &vec![0; mesh.faces.len()], &classes, &CollapseConfig { block_faces: 10_000 }).cut();
+    let before = run(&mesh, 10_000, &[]);
     assert!(open(&before) >= 50, "{}", open(&before));
-    let cut = run(&mesh, &classes, 10_000, &[0.5, 1.0, 2.0]).cut();
+    let cut = run(&mesh, 10_000, &[0.5, 1.0, 2.0]);
     assert_eq!(open(&cut), 0);
 }
 
@@ -351,18 +332,12 @@ fn a_sequence_replays_to_every_cut() {
         ..SimplifyConfig::default()
     };
     let all = simplify(&mesh, &classes, &config(20)).sequence.unwrap();
+    let source = Mesh { positions: all.positions, faces: all.faces, ..Mesh::default() };
     for faces in [600, 300, 100, 20] {
         let cut = simplify(&mesh, &classes, &config(faces));
-        let events = cut.sequence.as_ref().unwrap().events.len();
-        assert_eq!(all.events[..events], cut.sequence.as_ref().unwrap().events[..], "a cut is a prefix");
-        let mut log = CollapseLog { folded: all.folded.clone(), ..CollapseLog::default() };
-        log.events = all
-            .events
-            .iter()
-            .map(|e| Collapse { kept: e.kept, gone: e.gone, position: e.position, energy: e.energy, share: 0.0 })
-            .collect();
-        let source = Mesh { positions: all.positions.clone(), faces: all.faces.clone(), ..Mesh::default() };
-        let (positions, replayed) = log.replay(&source, events);
+        let own = &cut.sequence.as_ref().unwrap().log.events;
+        assert_eq!(all.log.events[..own.len()], own[..], "a cut is a prefix");
+        let (positions, replayed) = all.log.replay(&source, own.len());
         let place = |v: &u32| positions[*v as usize];
         let live: Vec<[DVec3; 3]> = cut.faces.iter().map(|f| f.map(|v| cut.positions[v as usize])).collect();
         assert_eq!(replayed.iter().map(|(_, f)| f.each_ref().map(place)).collect::<Vec<_>>(), live);

@@ -6,9 +6,10 @@
 //! # Method
 //! 1. A patch is a cell's current faces and the samples that ride on them. Patches of neighbours share no ids: a vertex
 //!    on a wall stands in both, at the same bits, and is one vertex again while both are in one window.
-//! 2. [`step`] welds the window's patches, locks what the outside uses, splits the faces into blocks and collapses each,
-//!    as [`super::Collapser`] does for a whole mesh in memory.
-//! 3. As scales grow, [`Patch::thinned`] lets one sample stand for others near it; it then has that much less to spare.
+//! 2. [`step`] welds the window's patches, locks what the outside uses, splits the faces into blocks of bounded size and
+//!    collapses each. Blocks lock the vertices they share and are cut elsewhere in every step, so nothing stays locked.
+//! 3. After a step faces take the class and weight that most of the samples riding on them have.
+//! 4. As scales grow, [`Patch::thinned`] lets one sample stand for others near it; it then has that much less to spare.
 //!
 //! # Promises
 //! - No sample, nor any it stands for, is further than t·b from its own cell's surface after a step to t.
@@ -19,12 +20,33 @@ use std::collections::HashMap;
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 use super::block::{BORDER, Block, Energy, LOCKED, Limit, Rules, Sample as Tracked};
-use super::{NONE, SMALL_LOOP_REACHES, border_of, mark_walls, split_faces};
+use super::blocks::{border_of, mark_walls, split_faces};
+use super::{MOST_CLASSES, NONE};
 use crate::geo::Rect;
 use crate::ids::ClassId;
 use crate::mesh::GRID_PER_M;
+
+/// How blocks are made.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CollapseConfig {
+    /// A block has at most this many faces. Smaller blocks lock more borders, larger ones leave the cache.
+    /// Default: 100 000.
+    pub block_faces: usize,
+}
+
+impl Default for CollapseConfig {
+    fn default() -> Self {
+        Self { block_faces: 100_000 }
+    }
+}
+
+/// A tunnel closes when the loop around it is shorter than this many reaches: no wider than what may deviate. Real
+/// scans have hundreds of them, and none of them would let its surroundings go.
+const SMALL_LOOP_REACHES: f64 = 6.0;
 
 /// The current surface of one cell. Positions are local metres; vertices are told apart by their position.
 #[derive(Debug, Clone, Default)]
@@ -60,7 +82,9 @@ pub struct Sample {
     /// Squared distance to the surface, m².
     pub squared_m2: f32,
     /// Class of the face it came from.
-    pub class: u32,
+    pub class: u16,
+    /// Classes of all faces around it there, a bit each.
+    pub classes: u16,
 }
 
 /// What a step is made with.
@@ -100,6 +124,7 @@ impl Patch {
             area_m2: 0.0,
             squared_m2: 0.0,
             class: 0,
+            classes: 0,
         };
         let mut samples: Vec<Sample> = positions.iter().map(|p| Sample { at: p.to_array(), ..blank }).collect();
         let mut rides = vec![NONE; positions.len()];
@@ -111,9 +136,10 @@ impl Patch {
                 let sample = &mut samples[v];
                 sample.budget_m = sample.budget_m.min(budgets_m[labels[f].index()] as f32);
                 sample.area_m2 += area / 6.0;
+                sample.classes |= 1 << labels[f].index().min(MOST_CLASSES - 1);
                 if area > largest[v] {
                     largest[v] = area;
-                    (sample.omega, sample.class) = (omega[f], labels[f].index() as u32);
+                    (sample.omega, sample.class) = (omega[f], labels[f].index() as u16);
                     rides[v] = f as u32;
                 }
             }
@@ -359,7 +385,7 @@ impl<'a> Window<'a> {
                 budget_m: if s.reach_m > 0.0 { left_m.next_down().max(0.0) } else { s.budget_m },
                 squared_m2: s.squared_m2,
                 face,
-                class: s.class as u8,
+                classes: s.classes as u8,
             }
         };
         let reach_m = settings.scale * settings.strictest_m;

@@ -33,6 +33,8 @@ mod panels;
 mod plots;
 mod table;
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 
 use crate::Result;
@@ -67,6 +69,8 @@ pub struct Experiment {
     pub source: SourceNumbers,
     /// The classes that count as key, of those the mesh has.
     pub key: Vec<String>,
+    /// Budget of every class at scale 1, metres.
+    pub budgets_m: BTreeMap<String, f64>,
     /// Points on either surface per measurement.
     pub samples: usize,
     /// Of the points' places.
@@ -179,6 +183,7 @@ pub fn run(mesh: &Mesh, classes: &Classes, config: &ExperimentConfig, reporter: 
             diagonal_m: bench.reference.diagonal_m(),
         },
         key: KEY.iter().filter(present).map(ToString::to_string).collect(),
+        budgets_m: classes.scheme.0.iter().map(|c| (c.name.clone(), c.budget_m)).collect(),
         samples: config.measure.samples,
         seed: config.measure.seed,
         against_baseline: against_baseline(&cuts, config),

@@ -5,6 +5,7 @@
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
+use crate::ids::ClassScheme;
 use crate::{Error, Result};
 
 /// Numbers and names of labels.
@@ -30,6 +31,26 @@ const SUM: [(i16, &str); 8] = [
 /// # Errors
 /// [`Error::Io`] for a file that cannot be read.
 pub fn names(files: &[PathBuf]) -> Result<Names> {
+    let names = in_headers(files)?;
+    Ok(if names.is_empty() { SUM.map(|(number, name)| (number, name.into())).to_vec() } else { names })
+}
+
+/// What `labels` mean that came from `files` or stood in a bare list: the headers' names, else those of the classes of
+/// `scheme` if the numbers look like their ids (0 is among them, and none is beyond the last), else SUM's.
+///
+/// # Errors
+/// [`Error::Io`] for a file that cannot be read.
+pub fn names_of(labels: &[i16], files: &[PathBuf], scheme: &ClassScheme) -> Result<Names> {
+    let named = in_headers(files)?;
+    let are_ids =
+        labels.contains(&0) && labels.iter().all(|l| usize::try_from(*l).map_or(*l == -1, |l| l < scheme.len()));
+    if !named.is_empty() || !are_ids {
+        return if named.is_empty() { names(&[]) } else { Ok(named) };
+    }
+    Ok(scheme.ids().map(|id| (i16::from(id.0), scheme[id].name.clone())).collect())
+}
+
+fn in_headers(files: &[PathBuf]) -> Result<Names> {
     let mut names = Names::new();
     for path in files.iter().filter(|p| p.extension().is_some_and(|e| e.eq_ignore_ascii_case("ply"))) {
         for (number, name) in in_header(path)? {
@@ -38,7 +59,7 @@ pub fn names(files: &[PathBuf]) -> Result<Names> {
             }
         }
     }
-    Ok(if names.is_empty() { SUM.map(|(number, name)| (number, name.into())).to_vec() } else { names })
+    Ok(names)
 }
 
 fn in_header(path: &Path) -> Result<Names> {
@@ -65,6 +86,15 @@ fn in_header(path: &Path) -> Result<Names> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn numbers_without_names_are_class_ids_if_they_look_like_them() {
+        let scheme = ClassScheme::default();
+        let first = |labels: &[i16]| names_of(labels, &[], &scheme).unwrap();
+        assert_eq!(first(&[3, 0, -1])[2], (2, scheme.0[2].name.clone()));
+        assert_eq!(first(&[3, 1]), names(&[]).unwrap());
+        assert_eq!(first(&[0, 5]), names(&[]).unwrap(), "SUM has 0 for what is not classified");
+    }
 
     #[test]
     fn names_come_from_comments_else_from_sum() {

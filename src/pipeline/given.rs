@@ -6,7 +6,7 @@ use rayon::prelude::*;
 use crate::classes::truth::{Mask, mask_among, mask_of_name};
 use crate::geo::Frame;
 use crate::geo::bvh::Bvh;
-use crate::ids::ClassScheme;
+use crate::ids::{ClassId, ClassScheme};
 use crate::input::label_names::Names;
 use crate::input::{Material, Source};
 use crate::mesh::Mesh;
@@ -128,6 +128,38 @@ impl Faces<'_> {
     }
 }
 
+/// One class for each face of `mesh` by the numbers on its faces alone: a building that is not told apart is façade or
+/// roof by its normal, and what has no label is clutter.
+///
+/// # Errors
+/// [`Error::Config`] for a number without a name.
+pub fn classes_of_labels(mesh: &Mesh, names: &Names, scheme: &ClassScheme) -> Result<Vec<ClassId>> {
+    let unknown = |label: &&i16| **label != -1 && names.iter().all(|n| n.0 != **label);
+    if let Some(label) = mesh.face_labels.iter().find(unknown) {
+        let named: Vec<String> = names.iter().map(|n| format!("{} {}", n.0, n.1)).collect();
+        let what = format!("a triangle has the label {label}; wanted one of {}, or -1 for none", named.join(", "));
+        return Err(Error::Config(what));
+    }
+    let faces = Faces { labels: &mesh.face_labels, materials: &[], face_material: &[], names };
+    let [facade, roof, clutter] = ["facade", "roof", "clutter"].map(|name| mask_of_name(scheme, name));
+    let class = |f: usize| {
+        let cross = mesh.cross(f);
+        let mask = match faces.mask(scheme, f, cross) {
+            0 => clutter,
+            mask if mask & facade != 0 && mask & roof != 0 => {
+                if cross.normalize_or_zero().z > UPRIGHT {
+                    roof
+                } else {
+                    facade
+                }
+            }
+            mask => mask,
+        };
+        ClassId(mask.trailing_zeros().min(scheme.len() as u32 - 1) as u8)
+    };
+    Ok((0..mesh.faces.len()).map(class).collect())
+}
+
 /// Another surface, with what may be said of each of its faces.
 struct Labelled {
     tree: Bvh,
@@ -170,5 +202,24 @@ impl Labelled {
             self.tree.closest((a + b + c) / 3.0, reach).map_or(0, |hit| self.masks[hit.face as usize])
         };
         (0..mesh.faces.len()).into_par_iter().with_min_len(1024).map(of_face).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_building_is_roof_or_facade_by_its_normal_and_an_unknown_number_is_named() {
+        let positions = vec![DVec3::ZERO, DVec3::X, DVec3::Y, DVec3::Z];
+        let faces = vec![[0, 1, 2], [0, 2, 3], [0, 1, 3], [0, 1, 2]];
+        let mut mesh = Mesh { positions, faces, face_labels: vec![3, 3, 1, -1], ..Mesh::default() };
+        let scheme = ClassScheme::default();
+        let names = crate::input::label_names::names(&[]).unwrap();
+        let found = classes_of_labels(&mesh, &names, &scheme).unwrap();
+        assert_eq!(found, [ClassId::ROOF, ClassId::FACADE, ClassId::TERRAIN, ClassId::CLUTTER]);
+        mesh.face_labels[2] = 9;
+        let error = classes_of_labels(&mesh, &names, &scheme).unwrap_err().to_string();
+        assert!(error.contains("label 9") && error.contains("3 building"), "{error}");
     }
 }

@@ -107,6 +107,24 @@ fn the_same_input_gives_the_same_files_on_one_thread_and_on_two() {
 }
 
 #[test]
+fn budgets_decide_which_class_keeps_its_triangles() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let input = bumps(temp.path(), 24);
+    let roof_mean = |name: &str, budget: &str| {
+        let flags = ["--methods", "plain,semantic", "--faces", "20%", "--budget", budget, "--json"];
+        let report = experiment(&input, &temp.path().join(name), &flags).wants(0).json();
+        let wanted: f64 = budget.split(['=', ',']).nth(1).and_then(|b| b.parse().ok()).expect("metres");
+        assert_eq!(number(&report["budgets_m"]["roof"]), wanted);
+        let semantic = report["cuts"].as_array().and_then(|c| c.iter().find(|c| c["method"] == "semantic")).cloned();
+        let by_class = semantic.expect("a cut")["by_class"].as_array().cloned().expect("classes");
+        number(&by_class.iter().find(|c| c["name"] == "roof").expect("roof")["mean_m"])
+    };
+    let (strict, lax) = (roof_mean("strict", "roof=0.02,terrain=0.5"), roof_mean("lax", "roof=0.5,terrain=0.02"));
+    assert!(strict < 0.7 * lax, "{strict} and {lax} m");
+    experiment(&input, &temp.path().join("none"), &["--budget", "rof=1"]).wants(2);
+}
+
+#[test]
 fn what_is_refused_leaves_nothing_behind() {
     let temp = tempfile::tempdir().expect("a folder");
     let input = bumps(temp.path(), 4);

@@ -185,7 +185,7 @@ fn show(town: &Town, cuts: usize) -> Shown {
     let levels = town.nodes.iter().map(|n| n.level).max().unwrap_or(0);
     let uniform: Vec<_> = (0..=levels).map(|level| joined(town, &uniform_cut(town, level), false)).collect();
     let reference = |view: &View| -> (Vec<bool>, Vec<Vec<bool>>) {
-        let of_level = |(positions, faces, _): &(_, Vec<_>, _)| covered(&Seen::of(view, positions, faces));
+        let of_level = |all: &(Vec<DVec3>, Vec<[u32; 3]>, usize)| covered(&Seen::of(view, &all.0, &all.1));
         (covered(&Seen::of(view, &town.positions, &town.faces)), uniform.iter().map(of_level).collect())
     };
     let references: Vec<_> = views.par_iter().map(reference).collect();

@@ -27,8 +27,8 @@ pub fn encode(sequence: &Sequence, about: &About) -> Result<Vec<u8>> {
     let classes: Vec<u8> = sequence.labels.iter().map(|c| c.0).collect();
     let marks = Marks::of(sequence, about.tracked_classes());
     let mut writer = Writer::new(sequence, &history, &classes, about)?;
-    let mut chunks = vec![writer.base(marks.bounds(sequence.events.len()))?];
-    let mut end = sequence.events.len();
+    let mut chunks = vec![writer.base(marks.bounds(sequence.log.events.len()))?];
+    let mut end = sequence.log.events.len();
     while end > 0 {
         let begin = marks.begin_of_chunk(end);
         chunks.push(writer.chunk(begin, end, &marks)?);
@@ -73,7 +73,7 @@ impl History {
             folded: Vec::new(),
             folded_start: vec![0],
             points: Vec::with_capacity(vertices),
-            before: Vec::with_capacity(sequence.events.len()),
+            before: Vec::with_capacity(sequence.log.events.len()),
             gone: vec![false; vertices],
         };
         for p in &sequence.positions {
@@ -93,7 +93,7 @@ impl History {
                 head[v as usize] = (3 * f + k) as u32;
             }
         }
-        for (i, event) in sequence.events.iter().enumerate() {
+        for (i, event) in sequence.log.events.iter().enumerate() {
             let (kept, gone) = (event.kept as usize, event.gone as usize);
             if kept == gone || kept.max(gone) >= vertices || history.gone[kept] || history.gone[gone] {
                 return Err(Error::Bug(format!("event {i} of a sequence merges vertex {gone} into {kept}")));
@@ -125,13 +125,13 @@ impl History {
 
     /// Takes away the faces that event `i` folds.
     fn fold(&mut self, sequence: &Sequence, i: usize) -> Result<()> {
-        let begin = sequence.folded.partition_point(|f| (f.0 as usize) < i);
-        for &(_, f) in sequence.folded[begin..].iter().take_while(|f| f.0 as usize == i) {
+        let begin = sequence.log.folded.partition_point(|f| (f.0 as usize) < i);
+        for &(_, f) in sequence.log.folded[begin..].iter().take_while(|f| f.0 as usize == i) {
             let face = self.faces.get(f as usize).filter(|_| self.alive[f as usize]);
             let Some(face) = face else {
                 return Err(Error::Bug(format!("event {i} of a sequence folds face {f}, which is not there")));
             };
-            let event = &sequence.events[i];
+            let event = &sequence.log.events[i];
             match (face.contains(&event.kept), face.contains(&event.gone)) {
                 // It dies in any case.
                 (true, true) => continue,
@@ -178,16 +178,14 @@ struct Marks {
 
 impl Marks {
     fn of(sequence: &Sequence, classes: usize) -> Self {
-        let own: Vec<[u8; MAX_CLASSES]> = sequence
-            .events
-            .iter()
-            .map(|e| {
-                let mut levels = e.deviation_m.map(|d| level_of(f64::from(d)));
-                levels[classes..].fill(0);
-                levels
-            })
-            .collect();
-        let energy: Vec<i16> = sequence.events.iter().map(|e| energy_level(e.energy)).collect();
+        let levels = |i: usize| {
+            let deviations_m = sequence.log.deviations_m.get(i).copied().unwrap_or_default();
+            let mut levels = deviations_m.map(|d| level_of(f64::from(d)));
+            levels[classes..].fill(0);
+            levels
+        };
+        let own: Vec<[u8; MAX_CLASSES]> = (0..sequence.log.events.len()).map(levels).collect();
+        let energy: Vec<i16> = sequence.log.events.iter().map(|e| energy_level(e.energy)).collect();
         let mut running = own.clone();
         for i in 1..running.len() {
             let before = running[i - 1];
@@ -313,7 +311,7 @@ impl<'a> Writer<'a> {
 
     fn split(&mut self, coder: &mut Encoder, i: usize, marks: &Marks) -> Result<()> {
         let history = self.history;
-        let event = &self.sequence.events[i];
+        let event = &self.sequence.log.events[i];
         let kept = self.number[event.kept as usize];
         self.models.code_kept(coder, &self.live, kept);
         self.live.star(kept, &mut self.star);

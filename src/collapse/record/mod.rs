@@ -51,7 +51,7 @@ mod live;
 mod progressive;
 mod split;
 
-pub use super::{Event, Sequence};
+pub use super::Sequence;
 pub use decode::Record;
 pub use encode::encode;
 pub use file::{About, ChunkInfo, Header};

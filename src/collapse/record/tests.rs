@@ -4,6 +4,7 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 use super::*;
+use crate::collapse::{Collapse, CollapseLog};
 use crate::ids::{ClassId, ClassScheme};
 
 const GRID_M: f64 = 1.0 / 128.0;
@@ -64,7 +65,7 @@ fn random_sequence(seed: u64, n: u32, share: f64, wild: bool, half_edge: bool) -
     let labels: Vec<ClassId> = faces.iter().map(|f| ClassId((f[0] / 40 % 4) as u8)).collect();
     let (mut at, mut now) = (positions.clone(), faces.clone());
     let mut alive: Vec<u32> = (0..at.len() as u32).collect();
-    let (mut events, mut folded, mut dead) = (Vec::new(), Vec::new(), vec![false; faces.len()]);
+    let (mut log, mut dead) = (CollapseLog::default(), vec![false; faces.len()]);
     for i in 0..(positions.len() as f64 * share) as usize {
         let lives = |(f, [a, b, c]): &(usize, &[u32; 3])| a != b && b != c && c != a && !dead[*f];
         let living: Vec<[u32; 3]> = now.iter().enumerate().filter(lives).map(|(_, f)| *f).collect();
@@ -99,28 +100,29 @@ fn random_sequence(seed: u64, n: u32, share: f64, wild: bool, half_edge: bool) -
             let stays = dice.below(2);
             for &(_, f) in &same[stays..] {
                 dead[f] = true;
-                folded.push((events.len() as u32, f as u32));
+                log.folded.push((log.events.len() as u32, f as u32));
             }
         }
         let mut deviation_m = [0f32; MAX_CLASSES];
         deviation_m[dice.below(4)] = i as f32 * 0.001 + dice.below(10) as f32 * 0.001;
         let energy = i as f32 * 0.1 + dice.below(3) as f32;
-        events.push(Event { kept, gone, position: at[kept as usize], energy, deviation_m });
+        log.events.push(Collapse { kept, gone, position: at[kept as usize], energy, share: 0.0 });
+        log.deviations_m.push(deviation_m);
     }
-    Sequence { positions, faces, labels, budgets_m: vec![0.1; 4], events, folded, grid_m: GRID_M }
+    Sequence { positions, faces, labels, grid_m: GRID_M, log }
 }
 
 /// The mesh after the first `events`, carried out one by one on the source: positions, corners, class.
 fn collapsed(sequence: &Sequence, events: usize) -> Vec<([[u64; 3]; 3], u8)> {
     let mut at = sequence.positions.clone();
     let mut faces = sequence.faces.clone();
-    for e in &sequence.events[..events] {
+    for e in &sequence.log.events[..events] {
         at[e.kept as usize] = e.position;
         for face in &mut faces {
             *face = face.map(|v| if v == e.gone { e.kept } else { v });
         }
     }
-    for &(_, f) in sequence.folded.iter().filter(|(e, _)| (*e as usize) < events) {
+    for &(_, f) in sequence.log.folded.iter().filter(|(e, _)| (*e as usize) < events) {
         faces[f as usize] = [0; 3];
     }
     let classes: Vec<u8> = sequence.labels.iter().map(|c| c.0).collect();
@@ -174,7 +176,7 @@ proptest! {
     fn every_prefix_replays_bit_for_bit(seed: u64, n in 1u32..9, share in 0.0..1.0f64, wild: bool, half: bool) {
         let sequence = random_sequence(seed, n, share, wild, half);
         let (_, decoded) = round_trip(&sequence);
-        let count = sequence.events.len();
+        let count = sequence.log.events.len();
         prop_assert_eq!(decoded.len(), count);
         for splits in (0..=count).rev().step_by(1 + count / 12) {
             let mesh = decoded.at(splits);
@@ -183,7 +185,7 @@ proptest! {
             let events = count - splits;
             prop_assert_eq!(canonical(&mesh.positions, &mesh.faces, &mesh.classes), collapsed(&sequence, events));
             for (class, bound) in mesh.bounds_m.iter().enumerate() {
-                let worst = sequence.events[..events].iter().map(|e| e.deviation_m[class]).fold(0f32, f32::max);
+                let worst = sequence.log.deviations_m[..events].iter().map(|d| d[class]).fold(0f32, f32::max);
                 prop_assert!(*bound >= f64::from(worst) && *bound <= f64::from(worst) * 1.19);
             }
         }
@@ -194,20 +196,20 @@ proptest! {
         let sequence = random_sequence(seed, n, 0.9, wild, false);
         let (_, decoded) = round_trip(&sequence);
         // The vertex that event i removed is the one that split (last - i) made; the base is named by what is left over.
-        let count = sequence.events.len();
+        let count = sequence.log.events.len();
         let base = decoded.base_points.len();
         prop_assert_eq!(base, sequence.positions.len() - count);
         let mut name = vec![u32::MAX; sequence.positions.len()];
-        for (i, e) in sequence.events.iter().enumerate() {
+        for (i, e) in sequence.log.events.iter().enumerate() {
             name[e.gone as usize] = (base + count - 1 - i) as u32;
         }
-        for (i, e) in sequence.events.iter().enumerate() {
+        for (i, e) in sequence.log.events.iter().enumerate() {
             let split = count - 1 - i;
             let kept = name[e.kept as usize];
             prop_assert!(kept == decoded.kept[split] || kept == u32::MAX && (decoded.kept[split] as usize) < base);
             name[e.kept as usize] = decoded.kept[split];
             prop_assert_eq!(decoded.coarse_at[split], e.position);
-            let levels = e.deviation_m.map(|d| level_of(f64::from(d)));
+            let levels = sequence.log.deviations_m[i].map(|d| level_of(f64::from(d)));
             prop_assert_eq!(decoded.deviation[split], levels);
         }
     }
@@ -219,7 +221,7 @@ proptest! {
         let all = decoded.within(&[1e9; MAX_CLASSES]);
         prop_assert_eq!(
             canonical(&all.positions, &all.faces, &all.classes),
-            collapsed(&sequence, sequence.events.len())
+            collapsed(&sequence, sequence.log.events.len())
         );
         let none = decoded.within(&[-1.0; MAX_CLASSES]);
         prop_assert_eq!(canonical(&none.positions, &none.faces, &none.classes), collapsed(&sequence, 0));
@@ -345,17 +347,17 @@ fn without_tracking_nothing_is_said_of_errors() {
     assert_eq!(record.chunks_within(&[1e9; MAX_CLASSES]), None);
     assert!(decoded.deviation.iter().flatten().all(|level| *level == 0));
     let mesh = decoded.at(0);
-    let all = sequence.events.len();
+    let all = sequence.log.events.len();
     assert_eq!(canonical(&mesh.positions, &mesh.faces, &mesh.classes), collapsed(&sequence, all));
 }
 
 #[test]
 fn a_position_off_the_grid_or_an_event_of_a_lost_vertex_is_our_bug() {
     let mut sequence = random_sequence(1, 3, 0.5, false, false);
-    sequence.events[1].position.x += 1e-4;
+    sequence.log.events[1].position.x += 1e-4;
     assert_eq!(encode(&sequence, &about()).unwrap_err().exit_code(), 7);
     let mut sequence = random_sequence(1, 3, 0.5, false, false);
-    sequence.events[2].kept = sequence.events[0].gone;
+    sequence.log.events[2].kept = sequence.log.events[0].gone;
     assert_eq!(encode(&sequence, &about()).unwrap_err().exit_code(), 7);
 }
 
@@ -366,16 +368,11 @@ fn a_hub_of_many_faces_goes_there_and_back() {
     positions.extend((0..n).map(|i| snapped(DVec3::new(f64::from(i).cos(), f64::from(i).sin(), 0.1) * 50.0)));
     let faces: Vec<[u32; 3]> = (0..n).map(|i| [0, 1 + i, 1 + (i + 1) % n]).collect();
     let events = (0..150)
-        .map(|i| Event {
-            kept: 2 + i,
-            gone: 1 + i,
-            position: positions[2 + i as usize],
-            energy: 1.0,
-            deviation_m: [0.0; 8],
-        })
+        .map(|i| Collapse { kept: 2 + i, gone: 1 + i, position: positions[2 + i as usize], energy: 1.0, share: 0.0 })
         .collect();
     let labels = vec![ClassId(1); faces.len()];
-    let sequence = Sequence { positions, faces, labels, events, grid_m: GRID_M, ..Sequence::default() };
+    let log = CollapseLog { events, ..CollapseLog::default() };
+    let sequence = Sequence { positions, faces, labels, grid_m: GRID_M, log };
     let (_, decoded) = round_trip(&sequence);
     for splits in 0..=150 {
         let mesh = decoded.at(splits);

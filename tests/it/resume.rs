@@ -90,9 +90,10 @@ fn a_build_killed_again_and_again_ends_with_the_same_bytes() {
         "source/9",
         "ingest.json",
         "labels/window-0.json",
-        "tile/3.json",
         "step/0.json",
         "step/4.json",
+        "surface",
+        "tile/3.json",
         "tile/30.json",
     ] {
         kills += u32::from(killed_at(&input, &out, page));

@@ -95,5 +95,5 @@ pub fn classify_measured(
             (table.classes.clone(), posterior(scene.mesh, &evidence, table))
         }
     };
-    spread(scene.mesh, measures, neighbours, scheme, &sources, &chances)
+    spread(scene.mesh, measures, neighbours, scheme, &sources, chances)
 }

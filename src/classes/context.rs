@@ -294,11 +294,23 @@ fn settle_patches(mesh: &Mesh, neighbours: &[[u32; 3]], config: &ClassesConfig, 
         patch.push(start as u32);
         seen[start] = true;
         let (mut area, mut rim, mut next) = (0.0, [0.0f64; 4], 0);
+        let is_clutter = usize::from(own) == CLUTTER;
+        let enclosed = if is_clutter { ENCLOSED_AREA * config.min_footprint_m2 } else { 0.0 };
         while next < patch.len() {
             let f = patch[next] as usize;
             next += 1;
-            area += 0.5 * mesh.cross(f).length();
+            if area >= config.island_m2.max(enclosed) {
+                // Too large for either change: its faces only have to be passed over.
+                for g in neighbours[f].into_iter().filter(|g| *g != NONE) {
+                    if label[g as usize] == own && !seen[g as usize] {
+                        seen[g as usize] = true;
+                        patch.push(g);
+                    }
+                }
+                continue;
+            }
             let corners = mesh.corners(f);
+            area += 0.5 * (corners[1] - corners[0]).cross(corners[2] - corners[0]).length();
             for (k, &g) in neighbours[f].iter().enumerate().filter(|(_, g)| **g != NONE) {
                 let g = g as usize;
                 if label[g] != own {
@@ -313,10 +325,7 @@ fn settle_patches(mesh: &Mesh, neighbours: &[[u32; 3]], config: &ClassesConfig, 
         let (building, whole) = (rim[FACADE] + rim[ROOF], rim.iter().sum::<f64>());
         let into = if area < config.island_m2 {
             strongest(&[TERRAIN, FACADE, ROOF, CLUTTER])
-        } else if usize::from(own) == CLUTTER
-            && area < ENCLOSED_AREA * config.min_footprint_m2
-            && building > ENCLOSED * whole
-        {
+        } else if area < enclosed && building > ENCLOSED * whole {
             strongest(&[FACADE, ROOF])
         } else {
             None

@@ -1,5 +1,6 @@
 //! What the rules look at: per face height and uprightness, per region size, texture and top.
 
+use glam::Vec3;
 use rayon::prelude::*;
 
 use super::ground::Ground;
@@ -10,8 +11,8 @@ use crate::planes::{NONE, Planes};
 pub struct Features {
     /// Height above ground of the face's centre, metres.
     pub height_m: Vec<f32>,
-    /// z of the smoothed normal, -1 to 1.
-    pub normal_z: Vec<f32>,
+    /// Smoothed unit normal.
+    pub normals: Vec<Vec3>,
     /// Slope of the ground there, metres per metre.
     pub ground_slope: Vec<f32>,
     /// Per region.
@@ -52,25 +53,23 @@ impl Features {
         let (mut height_m, mut ground_slope) = (Vec::new(), Vec::new());
         let at = |f: usize| {
             let [a, b, c] = mesh.corners(f);
-            let centre = (a + b + c) / 3.0;
-            (ground.height_above(centre), ground.steepness(centre))
+            ground.height_and_slope((a + b + c) / 3.0)
         };
         faces.clone().map(at).unzip_into_vecs(&mut height_m, &mut ground_slope);
-        let normal_z: Vec<f32> = faces
+        let normals: Vec<Vec3> = faces
             .map(|f| {
-                let of = |v: u32| planes.vertex_normals[v as usize];
-                let [a, b, c] = mesh.faces[f];
-                (of(a) + of(b) + of(c)).normalize_or_zero().z
+                let [a, b, c] = mesh.faces[f].map(|v| planes.vertex_normals[v as usize]);
+                (a + b + c).normalize_or_zero()
             })
             .collect();
         let mut sums = vec![Sums::default(); planes.regions.len()];
         for (f, &r) in planes.face_region.iter().enumerate().filter(|(_, r)| **r != NONE) {
             let (sum, region) = (&mut sums[r as usize], &planes.regions[r as usize]);
-            let cross = mesh.cross(f);
+            let [a, b, c] = mesh.corners(f);
+            let cross = (b - a).cross(c - a);
             let (area, height) = (0.5 * cross.length(), f64::from(height_m[f]));
             sum.area += area;
             sum.spread += area - 0.5 * cross.dot(region.normal);
-            let [a, b, c] = mesh.corners(f);
             let distance = ((a + b + c) / 3.0 - region.centroid).dot(region.normal);
             sum.square += area * distance * distance;
             sum.height += area * height;
@@ -89,6 +88,6 @@ impl Features {
                 top_m: (mean + 1.3 * deviation) as f32,
             }
         });
-        Self { height_m, normal_z, ground_slope, regions: regions.collect() }
+        Self { height_m, normals, ground_slope, regions: regions.collect() }
     }
 }

@@ -1,8 +1,9 @@
 //! The ground under a scene: a height grid that runs below buildings and trees but follows slopes and cliffs.
 //!
 //! # Method
-//! 1. Lowest upward-facing surface per cell; feet of tall walls where nothing upward lies near them (buildings
-//!    captured without their surroundings); small pits (reconstruction noise below ground) are filled.
+//! 1. A grid that lies askew to the mesh's own walls, so that it turns with the mesh. Lowest upward-facing surface per
+//!    cell; feet of tall walls where nothing upward lies near them (buildings captured without their surroundings);
+//!    small pits (reconstruction noise below ground) are filled.
 //! 2. Openings with windows that grow cell by cell: what one step cuts off by more than the terrain's slope
 //!    explains stands on the ground. Twice: the first pass allows [`STEEPEST`] everywhere and yields the local
 //!    slope for the second. A cliff or terrace survives, since an opening cuts only what falls on all sides.
@@ -10,13 +11,13 @@
 //!
 //! # Limits
 //! a hill with vertical sides narrower than the widest window is an object; a building that hangs on a
-//! slope without a free side is ground; the grid does not turn with the mesh (the demo city turned by 7° changes 0.6 %
-//! of its area); skirts below a tile's rim can pass for wall feet
+//! slope without a free side is ground; skirts below a tile's rim can pass for wall feet; in the last two metres where a
+//! cliff meets the border of the capture, heights lean on ground that is made up beyond
 //!
 //! # References
 //! Zhang et al., A progressive morphological filter for removing nonground measurements, 2003
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
 use super::ClassesConfig;
 use super::raster::{extreme, fill, gradient, higher, lower, mean, neighbourhood};
@@ -42,12 +43,26 @@ const MAX_SAMPLES: f64 = 4096.0;
 /// A height difference within 3 × 3 cells beyond this slope is a cliff: 63°.
 const CLIFF: f32 = 2.0;
 
+/// Empty cells around the mesh: closing a pit looks two cells far, and the border of a capture has to look the same
+/// wherever it lies. The fraction keeps models whose vertices have a grid of their own off the borders of cells, where
+/// rounding decides.
+const MARGIN: f64 = 3.31;
+/// The grid lies askew to the walls, as far from along them as from diagonal: of a wall that follows a row of cells all
+/// cells or none have ground in them, of one that crosses rows every other one has.
+const ASKEW_DEG: f64 = 22.5;
+
 /// Heights of the ground and of the lowest surface over a plan grid.
 #[derive(Debug, Clone)]
 pub struct Ground {
-    /// Lower left corner of cell (0, 0) and the zero of all heights here.
-    origin: DVec3,
+    /// A vertex in plan, from which everything is counted, so that moving the mesh moves nothing; the zero of all
+    /// heights here.
+    anchor: DVec3,
+    /// The grid's first axis, a unit vector in plan.
+    along: DVec2,
+    /// Lower left corner of cell (0, 0) from the anchor along the grid's axes, metres.
+    corner: DVec2,
     cell_m: f64,
+    per_m: f64,
     nx: usize,
     ny: usize,
     /// Ground per cell centre.
@@ -79,59 +94,82 @@ impl Ground {
     /// An empty grid with cells of a median edge (1 m to 3 m), coarser where the extent would need too many or most
     /// would be empty.
     fn grid(mesh: &Mesh, planes: &Planes, config: &ClassesConfig) -> Self {
-        let mut low = DVec3::splat(f64::INFINITY);
-        let mut high = DVec3::splat(f64::NEG_INFINITY);
+        let first = mesh.positions.first().copied().unwrap_or(DVec3::ZERO);
+        let along = direction(planes, first);
+        let (mut low, mut high, mut least_z) = (DVec2::INFINITY, DVec2::NEG_INFINITY, f64::INFINITY);
         for p in &mesh.positions {
-            low = low.min(*p);
-            high = high.max(*p);
+            let q = turned(along, *p - first);
+            (low, high, least_z) = (low.min(q), high.max(q), least_z.min(p.z));
         }
         if mesh.positions.is_empty() {
-            (low, high) = (DVec3::ZERO, DVec3::ZERO);
+            (low, high, least_z) = (DVec2::ZERO, DVec2::ZERO, 0.0);
         }
         let size = high - low;
         let worthwhile = 65_536.0 + 2.0 * mesh.faces.len() as f64;
         let limit = f64::from(config.max_cells.max(16)).min(worthwhile);
         let mut cell_m = planes.median_edge_m.clamp(1.0, 3.0);
-        let count = |cell: f64| ((size.x / cell).floor() + 1.0) * ((size.y / cell).floor() + 1.0);
-        while count(cell_m) > limit {
+        let cells = |extent: f64, cell: f64| (extent / cell + 2.0 * MARGIN).floor() + 1.0;
+        while cells(size.x, cell_m) * cells(size.y, cell_m) > limit {
             cell_m *= 1.25;
         }
-        let (nx, ny) = ((size.x / cell_m) as usize + 1, (size.y / cell_m) as usize + 1);
-        Self { origin: low, cell_m, nx, ny, height: Vec::new(), upper: Vec::new(), lowest: Vec::new() }
+        Self {
+            anchor: first.with_z(least_z),
+            along,
+            corner: low - MARGIN * cell_m,
+            cell_m,
+            per_m: 1.0 / cell_m,
+            nx: cells(size.x, cell_m) as usize,
+            ny: cells(size.y, cell_m) as usize,
+            height: Vec::new(),
+            upper: Vec::new(),
+            lowest: Vec::new(),
+        }
+    }
+
+    /// The plan position of a point, in cells from the corner of the first.
+    fn plan(&self, p: DVec3) -> DVec2 {
+        (turned(self.along, p - self.anchor) - self.corner) * self.per_m
     }
 
     /// Height of a point above the ground, metres. Beside a cliff the ground is its upper edge, so that the edge
     /// itself is not in the air.
     pub fn height_above(&self, p: DVec3) -> f32 {
-        let q = p - self.origin;
-        let (x, y) = (q.x / self.cell_m - 0.5, q.y / self.cell_m - 0.5);
-        let (x, y) = (x.clamp(0.0, (self.nx - 1) as f64), y.clamp(0.0, (self.ny - 1) as f64));
+        self.height_and_slope(p).0
+    }
+
+    /// Height above the ground as [`Self::height_above`], and its slope across the 3 × 3 cells around, metres per metre:
+    /// large beside cliffs, small on roads and lawns.
+    pub fn height_and_slope(&self, p: DVec3) -> (f32, f32) {
+        let q = self.plan(p);
+        let inside = |x: f64, n: usize| x.clamp(0.0, (n - 1) as f64);
+        let (x, y) = (inside(q.x - 0.5, self.nx), inside(q.y - 0.5, self.ny));
         let (i, j) = ((x as usize).min(self.nx.saturating_sub(2)), (y as usize).min(self.ny.saturating_sub(2)));
         let (u, v) = ((x - i as f64) as f32, (y - j as f64) as f32);
         let at = |i: usize, j: usize| self.height[j.min(self.ny - 1) * self.nx + i.min(self.nx - 1)];
         let lower = at(i, j) * (1.0 - u) + at(i + 1, j) * u;
         let upper = at(i, j + 1) * (1.0 - u) + at(i + 1, j + 1) * u;
         let ground = lower * (1.0 - v) + upper * v;
-        let cell = self.cell(p).unwrap_or(0);
+        let cell = inside(q.y, self.ny) as usize * self.nx + inside(q.x, self.nx) as usize;
         let edge = self.upper[cell];
+        let slope = (edge - self.height[cell]) * self.per_m as f32;
         let ground = if edge - ground > CLIFF * self.cell_m as f32 { edge } else { ground };
-        q.z as f32 - ground
+        (self.level(p) as f32 - ground, slope)
     }
 
     /// How far the lowest surface at the plan position of `p` lies below `p`; `None` where there is no surface.
     pub fn drop_below(&self, p: DVec3) -> Option<f32> {
         let low = self.lowest[self.cell(p)?];
-        low.is_finite().then_some((p.z - self.origin.z) as f32 - low)
+        low.is_finite().then_some(self.level(p) as f32 - low)
     }
 
     /// Height of a point over the zero of the grid, metres.
     pub fn level(&self, p: DVec3) -> f64 {
-        p.z - self.origin.z
+        p.z - self.anchor.z
     }
 
     /// The cell at the plan position of `p`; `None` outside the grid.
     pub fn cell(&self, p: DVec3) -> Option<usize> {
-        let q = (p - self.origin) / self.cell_m;
+        let q = self.plan(p);
         let (i, j) = (q.x as usize, q.y as usize);
         (q.x >= 0.0 && q.y >= 0.0 && i < self.nx && j < self.ny).then(|| j * self.nx + i)
     }
@@ -160,29 +198,28 @@ impl Ground {
     /// Visits the cells under a triangle with its [`Ground::level`] there: its corners, and its inside where it is wider than
     /// a cell. A cell may be visited several times.
     pub fn for_cells(&self, corners: [DVec3; 3], mut visit: impl FnMut(usize, f64)) {
-        let [a, b, c] = corners.map(|p| p - self.origin);
-        let mut put = |p: DVec3| {
-            let (i, j) = ((p.x / self.cell_m) as usize, (p.y / self.cell_m) as usize);
-            visit(j.min(self.ny - 1) * self.nx + i.min(self.nx - 1), p.z);
-        };
+        let [a, b, c] = corners.map(|p| self.plan(p).extend(self.level(p)));
+        let mut put =
+            |p: DVec3| visit((p.y as usize).min(self.ny - 1) * self.nx + (p.x as usize).min(self.nx - 1), p.z);
         [a, b, c].into_iter().for_each(&mut put);
-        let (min, max) = (a.min(b).min(c) / self.cell_m, a.max(b).max(c) / self.cell_m);
-        let (wide, tall) = (max.x.floor() - min.x.floor() + 1.0, max.y.floor() - min.y.floor() + 1.0);
+        let (min, max) = (a.min(b).min(c).max(DVec3::ZERO), a.max(b).max(c));
+        let first = DVec2::new(min.x as usize as f64, min.y as usize as f64);
+        let (wide, tall) = ((max.x - first.x) as usize + 1, (max.y - first.y) as usize + 1);
         let twice = (b - a).truncate().perp_dot((c - a).truncate());
-        if wide * tall <= 2.0 || twice == 0.0 {
+        if wide * tall <= 2 || twice == 0.0 {
             return;
         }
         // Twice a cell and direction: a slope's lowest point is missed by a quarter cell at most.
-        let stride = 0.5 * (4.0 * wide * tall / MAX_SAMPLES).sqrt().ceil().max(1.0);
-        let mut y = min.y.floor() + 0.25;
+        let stride = 0.5 * (4.0 * (wide * tall) as f64 / MAX_SAMPLES).sqrt().ceil().max(1.0);
+        let mut y = first.y + 0.25;
         while y <= max.y {
-            let mut x = min.x.floor() + 0.25;
+            let mut x = first.x + 0.25;
             while x <= max.x {
-                let p = DVec3::new(x, y, 0.0) * self.cell_m;
-                let wb = (p - a).truncate().perp_dot((c - a).truncate()) / twice;
-                let wc = (b - a).truncate().perp_dot((p - a).truncate()) / twice;
+                let p = DVec2::new(x, y) - a.truncate();
+                let wb = p.perp_dot((c - a).truncate()) / twice;
+                let wc = (b - a).truncate().perp_dot(p) / twice;
                 if wb >= 0.0 && wc >= 0.0 && wb + wc <= 1.0 {
-                    put(DVec3::new(p.x, p.y, a.z + wb * (b.z - a.z) + wc * (c.z - a.z)));
+                    put(DVec3::new(x, y, a.z + wb * (b.z - a.z) + wc * (c.z - a.z)));
                 }
                 x += stride;
             }
@@ -233,9 +270,9 @@ impl Ground {
         extreme(&values, self.nx, self.ny, half, higher).into_iter().map(|v| v > 0.5).collect()
     }
 
-    /// Slope across the 3 × 3 cells around `p`, metres per metre: large beside cliffs, small on roads and lawns.
+    /// Slope of the ground, see [`Self::height_and_slope`].
     pub fn steepness(&self, p: DVec3) -> f32 {
-        self.cell(p).map_or(0.0, |cell| (self.upper[cell] - self.height[cell]) / self.cell_m as f32)
+        self.height_and_slope(p).1
     }
 
     /// Lowest corner per cell of the faces of tall, upright planes.
@@ -257,7 +294,7 @@ impl Ground {
                     && p.z < bottom + 0.25 * (top - bottom)
                     && let Some(cell) = self.cell(p)
                 {
-                    feet[cell] = feet[cell].min((p.z - self.origin.z) as f32);
+                    feet[cell] = feet[cell].min(self.level(p) as f32);
                 }
             }
         }
@@ -303,13 +340,14 @@ impl Ground {
         fill(kept.collect(), nx, ny)
     }
 
-    /// Steepest slope of the smoothed ground within about ten metres, metres per metre.
+    /// What the smoothed ground falls within about ten metres from one window to the next, metres per metre.
     fn slope(&self, height: &[f32]) -> Vec<f32> {
         let (nx, ny) = (self.nx, self.ny);
         let reach = ((4.0 / self.cell_m).round() as usize).max(1);
         let smooth = mean(height, nx, ny, reach);
         let (gx, gy) = gradient(&smooth, nx, ny);
-        let slope: Vec<f32> = gx.iter().zip(&gy).map(|(x, y)| x.hypot(*y) / self.cell_m as f32).collect();
+        // A square window that grows by a cell goes down by both.
+        let slope: Vec<f32> = gx.iter().zip(&gy).map(|(x, y)| (x.abs() + y.abs()) * self.per_m as f32).collect();
         extreme(&slope, nx, ny, reach, higher)
     }
 
@@ -319,6 +357,30 @@ impl Ground {
         let limit = STEEPEST * self.cell_m as f32;
         height.iter().zip(gx.iter().zip(&gy)).map(|(z, (x, y))| z + 0.5 * (x.min(limit) + y.min(limit))).collect()
     }
+}
+
+/// Coordinates in plan along an axis and across it.
+fn turned(along: DVec2, p: DVec3) -> DVec2 {
+    DVec2::new(along.x * p.x + along.y * p.y, along.x * p.y - along.y * p.x)
+}
+
+/// The grid's first axis, a unit vector that turns with the mesh: [`ASKEW_DEG`] from the direction in plan that most walls
+/// and roofs follow or stand across; of the four such axes the one that has most of the mesh ahead and to its left, as
+/// seen from its `first` vertex.
+fn direction(planes: &Planes, first: DVec3) -> DVec2 {
+    let (mut fourfold, mut ahead) = (DVec2::ZERO, DVec2::ZERO);
+    for region in &planes.regions {
+        let level = region.normal.truncate();
+        // Turned four times as far, the four directions of a rectangle are one.
+        let twice = level.rotate(level);
+        fourfold += twice.rotate(twice) * (region.area_m2 / level.length_squared().max(1e-12));
+        ahead += (region.centroid - first).truncate() * region.area_m2;
+    }
+    let one = DVec2::from_angle(0.25 * fourfold.to_angle() + ASKEW_DEG.to_radians());
+    let of_four = [one, one.perp(), -one, -one.perp()];
+    // In the first quadrant of the axes both coordinates are positive.
+    let lead = |axis: &DVec2| turned(*axis, ahead.extend(0.0)).min_element();
+    of_four.into_iter().reduce(|a, b| if lead(&b) > lead(&a) { b } else { a }).unwrap_or(DVec2::X)
 }
 
 #[cfg(test)]
@@ -372,7 +434,8 @@ mod tests {
     #[test]
     fn a_terrace_of_twenty_metres_is_ground_on_both_levels() {
         let (mesh, ground) = ground_of(100, |x, _| if x < 50.0 { 0.0 } else { 20.0 });
-        let flat = |p: &&DVec3| !(48.0..=52.0).contains(&p.x);
+        // Where the edge meets the border of the capture, ground beyond is made up.
+        let flat = |p: &&DVec3| !(48.0..=52.0).contains(&p.x) && (4.0..=96.0).contains(&p.y);
         let worst = mesh.positions.iter().filter(flat).map(|p| ground.height_above(*p).abs()).fold(0.0f32, f32::max);
         assert!(worst < 0.5, "{worst}");
         // The edge itself is not in the air.

@@ -29,7 +29,7 @@ pub fn scores(features: &Features, f: usize, region: Option<&RegionFeatures>, co
     let low = 1.0 - above(height, config.low_m as f32, 0.4);
     let high = above(height, config.high_m as f32, 0.7);
     let between = (1.0 - low - high).max(0.0);
-    let flat = features.normal_z[f].abs();
+    let flat = features.normals[f].z.abs();
     // A steep face on level ground is the side of something small: a car, a hedge, a trunk.
     let steep = 1.0 - above(flat, 0.5, 0.2);
     let aside = steep * (1.0 - above(features.ground_slope[f], 0.5, 0.3));

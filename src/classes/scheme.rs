@@ -146,10 +146,15 @@ pub fn spread(
     neighbours: &[[u32; 3]],
     scheme: &ClassScheme,
     sources: &[String],
-    chances: &[f32],
+    chances: Vec<f32>,
 ) -> Classes {
     let (count, width) = (scheme.len(), sources.len());
     let groups: Vec<Group> = sources.iter().map(|s| group(scheme, sources, s)).collect();
+    let is_itself = |(i, group): (usize, &Group)| group.rest == Some(i) && group.special.is_empty();
+    if count == width && groups.iter().enumerate().all(is_itself) {
+        return labelled(scheme, chances);
+    }
+    let chances = chances.as_slice();
     let patches = groups.iter().any(|g| !g.special.is_empty()).then(|| Patches::of(mesh, neighbours, width, chances));
     let belief = |class: usize| -> Vec<f32> {
         let columns: Vec<(&Cue, Vec<f32>)> = (scheme.0[class].when.iter())
@@ -167,7 +172,11 @@ pub fn spread(
             share(group, *chance, |class| beliefs[class].as_ref().map_or(0.0, |b| b[f]), out);
         }
     });
-    let label = posterior.chunks(count).map(|p| ClassId(smooth::best(p) as u8)).collect();
+    labelled(scheme, posterior)
+}
+
+fn labelled(scheme: &ClassScheme, posterior: Vec<f32>) -> Classes {
+    let label = posterior.par_chunks(scheme.len()).map(|p| ClassId(smooth::best(p) as u8)).collect();
     Classes { scheme: scheme.clone(), posterior, label }
 }
 

@@ -11,53 +11,61 @@ use crate::planes::{NONE, Planes};
 /// Jacobi sweeps of the mean field; more change less than one face in a thousand.
 const SWEEPS: usize = 6;
 
-/// Everything in turn, in place.
+/// Everything in turn. `normals` are the smoothed ones of faces.
 pub fn smooth(
     mesh: &Mesh,
     planes: &Planes,
     neighbours: &[[u32; 3]],
+    normals: Vec<Vec3>,
     config: &ClassesConfig,
     unary: Vec<Scores>,
 ) -> Vec<Scores> {
-    let mut field = mean_field(mesh, planes, neighbours, config.smoothing as f32, unary);
+    let strength = config.smoothing as f32;
+    let weights = per_face(mesh, |f| edge_weights(mesh, &normals, neighbours, f).map(|w| strength * w));
+    drop(normals);
+    let mut field = mean_field(neighbours, &weights, unary);
+    drop(weights);
     vote(mesh, planes, config, &mut field);
     field
 }
 
-/// Potts mean field: Q(c) ∝ P(c) exp(λ Σ w Q'(c)), w by shared edge and agreeing normals. Every sweep reads only
+/// Potts mean field: Q(c) ∝ P(c) exp(Σ w Q'(c)), w by shared edge and agreeing normals. Every sweep reads only
 /// the last one's result, so threads do not matter.
-fn mean_field(mesh: &Mesh, planes: &Planes, neighbours: &[[u32; 3]], strength: f32, unary: Vec<Scores>) -> Vec<Scores> {
-    let normals: Vec<Vec3> = per_face(mesh, |f| {
-        let [a, b, c] = mesh.faces[f].map(|v| planes.vertex_normals[v as usize]);
-        (a + b + c).normalize_or_zero()
-    });
-    let weights = per_face(mesh, |f| edge_weights(mesh, &normals, neighbours, f).map(|w| strength * w));
-    drop(normals);
-    let mut field = unary.clone();
-    let mut next = unary.clone();
-    for _ in 0..SWEEPS {
-        next.par_iter_mut().with_min_len(4096).enumerate().for_each(|(f, scores)| {
-            let mut push = [0.0f32; 4];
-            for (&g, &w) in neighbours[f].iter().zip(&weights[f]).filter(|(g, _)| **g != NONE) {
-                let of = &field[g as usize];
-                (0..4).for_each(|c| push[c] += w * of[c]);
-            }
-            *scores = std::array::from_fn(|c| unary[f][c] * exp(push[c]));
-            normalise(scores);
-        });
+fn mean_field(neighbours: &[[u32; 3]], weights: &[[f32; 3]], unary: Vec<Scores>) -> Vec<Scores> {
+    let swept = |from: &[Scores], f: usize| {
+        let mut push = [0.0f32; 4];
+        for (&g, &w) in neighbours[f].iter().zip(&weights[f]).filter(|(g, _)| **g != NONE) {
+            let of = &from[g as usize];
+            (0..4).for_each(|c| push[c] += w * of[c]);
+        }
+        let mut scores = std::array::from_fn(|c| unary[f][c] * exp(push[c]));
+        normalise(&mut scores);
+        scores
+    };
+    let mut field: Vec<Scores> = Vec::new();
+    let faces = (0..unary.len()).into_par_iter().with_min_len(4096);
+    faces.map(|f| swept(&unary, f)).collect_into_vec(&mut field);
+    let mut next = vec![[0.0; 4]; unary.len()];
+    for _ in 1..SWEEPS {
+        next.par_iter_mut().with_min_len(4096).enumerate().for_each(|(f, scores)| *scores = swept(&field, f));
         std::mem::swap(&mut field, &mut next);
     }
     field
 }
 
-/// e^x to six digits for |x| up to 80, without a call and with the same bits on every platform.
+/// 1.5 · 2²³: what is added to it is rounded to a whole number, which then stands in the lowest bits.
+const ROUNDER: f32 = 12_582_912.0;
+
+/// e^x to six digits for |x| up to 80, without a call or a branch and with the same bits on every platform.
+#[inline]
 pub fn exp(x: f32) -> f32 {
     let scaled = x.clamp(-80.0, 80.0) * std::f32::consts::LOG2_E;
-    let whole = scaled.floor();
-    // 2^t on [0, 1] as Taylor's sum of e^(t ln 2) about one half, whose constant is the root of two.
-    let t = (scaled - whole - 0.5) * std::f32::consts::LN_2;
+    let shifted = scaled + ROUNDER;
+    let whole = shifted.to_bits().wrapping_sub(ROUNDER.to_bits());
+    // Taylor's sum of e^(t ln 2) for t within one half.
+    let t = (scaled - (shifted - ROUNDER)) * std::f32::consts::LN_2;
     let sum = 1.0 + t * (1.0 + t * (0.5 + t * (1.0 / 6.0 + t * (1.0 / 24.0 + t * (1.0 / 120.0)))));
-    std::f32::consts::SQRT_2 * sum * f32::from_bits(((whole as i32 + 127) as u32) << 23)
+    sum * f32::from_bits(whole.wrapping_add(127) << 23)
 }
 
 /// Weights of the three neighbours: shares of the perimeter, less across a crease.
@@ -98,7 +106,8 @@ pub fn best(scores: &[f32]) -> usize {
 fn normalise(scores: &mut Scores) {
     let sum: f32 = scores.iter().sum();
     if sum > 0.0 {
-        scores.iter_mut().for_each(|s| *s /= sum);
+        let per_sum = 1.0 / sum;
+        scores.iter_mut().for_each(|s| *s *= per_sum);
     } else {
         *scores = [0.25; 4];
     }
@@ -106,4 +115,19 @@ fn normalise(scores: &mut Scores) {
 
 fn per_face<T: Send>(mesh: &Mesh, of: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {
     (0..mesh.faces.len()).into_par_iter().with_min_len(4096).map(of).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_exponential_has_six_digits() {
+        for i in -8000..=8000 {
+            let x = i as f32 * 0.01;
+            let error = f64::from(exp(x)) / f64::from(x).exp() - 1.0;
+            assert!(error.abs() < 1e-5, "{x}: {error}");
+        }
+        assert_eq!((exp(0.0), exp(-1e9), exp(1e9)), (1.0, exp(-80.0), exp(80.0)));
+    }
 }

@@ -191,7 +191,7 @@ impl Labelling<'_> {
                     &self.scene.planes.neighbours,
                     self.scheme,
                     &table.classes,
-                    &chances,
+                    chances,
                 )
             }
             _ => classify_measured(self.scene, self.ground, self.measures, self.scheme, config),

@@ -39,8 +39,11 @@ pub struct Mesh {
 
 impl Mesh {
     /// The three corners of face `f`.
+    #[inline]
     pub fn corners(&self, f: usize) -> [DVec3; 3] {
-        self.faces[f].map(|v| self.positions[v as usize])
+        // Written out, since `map` becomes a call: this is a fifth of the time of the whole front end.
+        let [a, b, c] = self.faces[f];
+        [self.positions[a as usize], self.positions[b as usize], self.positions[c as usize]]
     }
 
     /// Twice-area vector of face `f`: its length is twice the area in m², its direction the normal.

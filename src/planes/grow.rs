@@ -28,13 +28,15 @@ struct Gate {
 }
 
 impl Gate {
-    /// How badly a face fits a plane, 0 to 1; `None` if it fails one of the two thresholds.
-    fn misfit(&self, corners: [DVec3; 3], face_normal: DVec3, plane: &Plane) -> Option<f64> {
+    /// How badly a face fits a plane, 0 to 1; `None` if it fails one of the two thresholds. Corners, which are far apart
+    /// in memory, are asked for only where the angle passes.
+    #[inline]
+    fn misfit(&self, corners: impl FnOnce() -> [DVec3; 3], face_normal: DVec3, plane: &Plane) -> Option<f64> {
         let agree = face_normal.dot(plane.normal);
         if agree < self.cos_angle {
             return None;
         }
-        let [a, b, c] = corners.map(|p| (p - plane.centroid).dot(plane.normal));
+        let [a, b, c] = corners().map(|p| (p - plane.centroid).dot(plane.normal));
         let (centre, corner) = (((a + b + c) / 3.0).abs(), a.abs().max(b.abs()).max(c.abs()));
         if centre > self.distance_m || corner > 2.0 * self.distance_m {
             return None;
@@ -59,9 +61,6 @@ pub fn regions(mesh: &Mesh, surface: &Surface, config: &PlanesConfig) -> (Vec<u3
     }
     let Growth { region: grown, mut patches, .. } = growth;
     let mut region = settle_borders(mesh, surface, &gate, &grown, &patches);
-    for _ in 1..BORDER_SWEEPS {
-        region = settle_borders(mesh, surface, &gate, &region, &patches);
-    }
     for f in (0..region.len()).filter(|&f| region[f] != grown[f]) {
         if grown[f] != NONE {
             patches[grown[f] as usize].remove(mesh.corners(f));
@@ -191,7 +190,7 @@ impl<'a> Growth<'a> {
                     continue;
                 }
                 let g_normal = self.surface.normals[g as usize].as_dvec3();
-                let corners = self.mesh.corners(g as usize).map(|p| p - origin);
+                let corners = || self.mesh.corners(g as usize).map(|p| p - origin);
                 if self.gate.misfit(corners, g_normal, &plane).is_some() {
                     self.region[g as usize] = id;
                     self.queue.push_back(g);
@@ -215,29 +214,47 @@ fn is_too_small(area_m2: f64, faces: u32, config: &PlanesConfig) -> bool {
     area_m2 < config.min_area_m2 || (faces < config.min_faces && area_m2 < FEW_FACES_AREA_M2)
 }
 
-/// Lets every face beside another region (or beside one while in none) choose the best of what touches it.
-fn settle_borders(mesh: &Mesh, surface: &Surface, gate: &Gate, region: &[u32], patches: &[Patch]) -> Vec<u32> {
-    let choose = |f: usize| {
-        let own = region[f];
-        let around = surface.neighbours[f].map(|g| if g == NONE { own } else { region[g as usize] });
-        if around.iter().all(|&r| r == own) {
-            return own;
+/// Lets every face beside another region (or beside one while in none) choose the best of what touches it, in sweeps
+/// that see what the last one did.
+fn settle_borders(mesh: &Mesh, surface: &Surface, gate: &Gate, grown: &[u32], patches: &[Patch]) -> Vec<u32> {
+    let all = (0..grown.len()).into_par_iter().with_min_len(4096);
+    let mut region: Vec<u32> = all.map(|f| choose(mesh, surface, gate, grown, patches, f)).collect();
+    let mut moved: Vec<u32> = (0..grown.len() as u32).filter(|&f| region[f as usize] != grown[f as usize]).collect();
+    for _ in 1..BORDER_SWEEPS {
+        // The others saw the same neighbours before and would choose the same again.
+        let mut beside: Vec<u32> = moved.iter().flat_map(|f| surface.neighbours[*f as usize]).collect();
+        beside.retain(|f| *f != NONE);
+        beside.par_sort_unstable();
+        beside.dedup();
+        let choice = |f: &u32| (*f, choose(mesh, surface, gate, &region, patches, *f as usize));
+        let mut choices: Vec<(u32, u32)> = beside.par_iter().with_min_len(1024).map(choice).collect();
+        choices.retain(|(f, r)| region[*f as usize] != *r);
+        choices.iter().for_each(|(f, r)| region[*f as usize] = *r);
+        moved = choices.into_iter().map(|(f, _)| f).collect();
+    }
+    region
+}
+
+/// The region that a face fits best: its own or one beside it.
+fn choose(mesh: &Mesh, surface: &Surface, gate: &Gate, region: &[u32], patches: &[Patch], f: usize) -> u32 {
+    let own = region[f];
+    let around = surface.neighbours[f].map(|g| if g == NONE { own } else { region[g as usize] });
+    if around.iter().all(|&r| r == own) {
+        return own;
+    }
+    let (corners, normal) = (mesh.corners(f), surface.normals[f].as_dvec3());
+    let mut best = (f64::INFINITY, NONE);
+    for r in [own, around[0], around[1], around[2]] {
+        if r == NONE {
+            continue;
         }
-        let (corners, normal) = (mesh.corners(f), surface.normals[f].as_dvec3());
-        let mut best = (f64::INFINITY, NONE);
-        for r in [own, around[0], around[1], around[2]] {
-            if r == NONE {
-                continue;
-            }
-            if let Some(misfit) = gate.misfit(corners, normal, &patches[r as usize].plane)
-                && (misfit, r) < best
-            {
-                best = (misfit, r);
-            }
+        if let Some(misfit) = gate.misfit(|| corners, normal, &patches[r as usize].plane)
+            && (misfit, r) < best
+        {
+            best = (misfit, r);
         }
-        best.1
-    };
-    (0..mesh.faces.len()).into_par_iter().with_min_len(4096).map(choose).collect()
+    }
+    best.1
 }
 
 /// Joins neighbouring regions that are one plane, most similar first.

@@ -22,8 +22,8 @@
 //! 1.5 regions to cover nine tenths of it (scattered seeds without merging, as in the paper: 1.54)
 //!
 //! # Cost
-//! measured 0.46 µs of one core a face (3.0 M faces of a town, busy machine); with the four classes' scores 1.07 µs, or
-//! 0.93 M faces/s, and at the peak about 100 bytes a face beside the mesh. `cargo bench --bench front_end` prints both
+//! measured 0.35 µs of one core a face (3.0 M faces of a town, busy machine); with the four classes' scores 0.76 µs, or
+//! 1.3 M faces/s, and at the peak about 100 bytes a face beside the mesh. `cargo bench --bench front_end` prints both
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};

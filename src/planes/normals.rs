@@ -40,32 +40,44 @@ pub fn surface(mesh: &Mesh, config: &PlanesConfig, known: Option<Grain>) -> Surf
     let neighbours = topology::face_neighbours(mesh);
     let median_edge_m = known.map_or_else(|| median_edge(mesh), |g| g.median_edge_m);
     let origin = mesh.positions.first().copied().unwrap_or(DVec3::ZERO);
-    let raw: Vec<(Vec3, Place)> = per_face(mesh, |f| {
+    let per_radius = 1.0 / (config.smoothing_radius_m * config.smoothing_radius_m).max(1e-12) as f32;
+    let (mut normals, mut places) = (Vec::new(), Vec::new());
+    let raw = |f: usize| {
         let [a, b, c] = mesh.corners(f).map(|p| p - origin);
         let half = (0.5 * (b - a).cross(c - a)).as_vec3();
         (half.normalize_or_zero(), Place { centre: ((a + b + c) / 3.0).as_vec3(), area: half.length() })
-    });
-    let (mut normals, places): (Vec<Vec3>, Vec<Place>) = raw.into_iter().unzip();
+    };
+    let faces = 0..mesh.faces.len();
+    faces.into_par_iter().with_min_len(CHUNK).map(raw).unzip_into_vecs(&mut normals, &mut places);
+    // What each neighbour weighs, as far as normals have no say in it.
+    let pull_of = |f: usize| {
+        neighbours[f].map(|g| {
+            let Some(there) = places.get(g as usize) else { return 0.0 };
+            let close = 1.0 - there.centre.distance_squared(places[f].centre) * per_radius;
+            there.area * close.max(0.0)
+        })
+    };
+    let pulls: Vec<[f32; 3]> = per_face(mesh, pull_of);
+    let areas: Vec<f32> = places.iter().map(|place| place.area).collect();
+    drop(places);
 
-    let per_radius = 1.0 / (config.smoothing_radius_m * config.smoothing_radius_m).max(1e-12) as f32;
     // The reach of diffusion grows with the root of the sweeps; ten are where more stops to pay.
     let sweeps = (config.smoothing_radius_m / median_edge_m.max(1e-6)).ceil().clamp(1.0, 10.0) as usize;
-    let mut next = normals.clone();
+    let mut next = vec![Vec3::ZERO; normals.len()];
     for _ in 0..sweeps {
         next.par_iter_mut().with_min_len(CHUNK).enumerate().for_each(|(f, out)| {
-            let (normal, place) = (normals[f], places[f]);
-            let mut sum = normal * place.area;
-            for &g in neighbours[f].iter().filter(|&&g| g != NONE) {
-                let (other, there) = (normals[g as usize], places[g as usize]);
-                let close = (1.0 - there.centre.distance_squared(place.centre) * per_radius).max(0.0);
+            let normal = normals[f];
+            let mut sum = normal * areas[f];
+            for (&g, &pull) in neighbours[f].iter().zip(&pulls[f]).filter(|(g, _)| **g != NONE) {
+                let other = normals[g as usize];
                 let agree = other.dot(normal).max(0.0);
-                sum += other * (there.area * close * agree * agree * agree);
+                sum += other * (pull * agree * agree * agree);
             }
             *out = sum.normalize_or_zero();
         });
         std::mem::swap(&mut normals, &mut next);
     }
-    drop(next);
+    drop((next, pulls));
     let mean = |f: usize, of: &dyn Fn(usize) -> f32| {
         let around = neighbours[f].iter().filter(|&&g| g != NONE);
         let (sum, n) = around.map(|&g| of(g as usize)).fold((0.0f32, 0u32), |(sum, n), value| (sum + value, n + 1));
@@ -74,24 +86,28 @@ pub fn surface(mesh: &Mesh, config: &PlanesConfig, known: Option<Grain>) -> Surf
     let bend = per_face(mesh, |f| mean(f, &|g| 1.0 - normals[g].dot(normals[f])).unwrap_or(1.0));
     let measured = || {
         let some = (0..mesh.faces.len()).step_by(mesh.faces.len() / SAMPLES + 1);
-        let offset =
-            |f: usize| mean(f, &|g| (places[g].centre - places[f].centre).dot(normals[f]).abs()).unwrap_or(0.0);
+        let centre = |f: usize| {
+            let [a, b, c] = mesh.corners(f).map(|p| p - origin);
+            ((a + b + c) / 3.0).as_vec3()
+        };
+        let offset = |f: usize| mean(f, &|g| (centre(g) - centre(f)).dot(normals[f]).abs()).unwrap_or(0.0);
         let mut offsets: Vec<f32> = some.map(offset).collect();
         Grain { median_edge_m, noise_m: f64::from(median(&mut offsets)) }
     };
     let grain = known.unwrap_or_else(measured);
-    let areas = places.iter().map(|place| place.area).collect();
     Surface { neighbours, normals, areas, bend, grain }
 }
 
 /// Vertex normals: the area-weighted mean of the filtered normals around.
 pub fn of_vertices(mesh: &Mesh, surface: &Surface) -> Vec<Vec3> {
-    let around = topology::vertex_faces(mesh);
-    let normal = |v: usize| {
-        let faces = around.of_vertex(v).iter().map(|&f| f as usize);
-        faces.map(|f| surface.normals[f] * surface.areas[f]).sum::<Vec3>().normalize_or(Vec3::Z)
-    };
-    (0..mesh.positions.len()).into_par_iter().with_min_len(CHUNK).map(normal).collect()
+    // Handing out face by face on one thread is quicker than a list of the faces around each vertex, and sums in the
+    // same order.
+    let mut sums = vec![Vec3::ZERO; mesh.positions.len()];
+    for ((face, normal), area) in mesh.faces.iter().zip(&surface.normals).zip(&surface.areas) {
+        face.iter().for_each(|v| sums[*v as usize] += *normal * *area);
+    }
+    sums.par_iter_mut().with_min_len(CHUNK).for_each(|sum| *sum = sum.normalize_or(Vec3::Z));
+    sums
 }
 
 fn per_face<T: Send>(mesh: &Mesh, of: impl Fn(usize) -> T + Sync + Send) -> Vec<T> {

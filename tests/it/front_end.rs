@@ -150,13 +150,12 @@ fn a_city_keeps_its_labels_when_it_is_turned_moved_or_labelled_by_two_threads() 
     moved.positions.iter_mut().for_each(|p| *p += DVec3::splat(500_000.0));
     let (still, moved) = (labelled(&still), labelled(&moved));
     assert_eq!(still.label, moved.label);
-    for degrees in [7.0f64, 30.0, 90.0] {
+    for degrees in [7.0f64, 30.0, 45.0, 83.0, 90.0] {
         let (sin, cos) = degrees.to_radians().sin_cos();
         let mut turned = mesh.clone();
         turned.positions.iter_mut().for_each(|p| *p = DVec3::new(cos * p.x - sin * p.y, sin * p.x + cos * p.y, p.z));
         let share = changed(&labelled(&turned));
         println!("turned by {degrees}°: {:.3} % of the area changes class", 100.0 * share);
-        // The goal is 0.5 %: the ground's grid does not turn with the city.
-        assert!(share < 0.01, "turned by {degrees}°: {share} of the area changes class");
+        assert!(share < 0.005, "turned by {degrees}°: {share} of the area changes class");
     }
 }

@@ -1,7 +1,7 @@
 //! Samples of the source that ride on the current surface.
 
 use super::NONE;
-use super::block::{Corner, Run};
+use super::run::{Corner, Run};
 use crate::geo::bvh::closest_on_triangle;
 use glam::DVec3;
 

@@ -15,6 +15,7 @@ use super::energy::{Facet, Form, Quadric, SmallForm};
 use super::queue::{Candidate, Queue};
 use super::simplify::MOST_CLASSES;
 use super::star::{Arena, Span};
+use super::track::{Move, Rider};
 use super::{Collapse, NONE};
 
 /// An edge is filed again, not collapsed, when its energy grew by more than this since it was ranked.
@@ -98,8 +99,9 @@ pub(super) struct Run<'a> {
     /// By vertex: grows when edges filed before are no longer what they were.
     pub version: Vec<u32>,
     pub arena: Arena,
-    pub sample_head: Vec<u32>,
-    pub sample_next: Vec<u32>,
+    /// By face: the first sample on it.
+    pub rider_head: Vec<u32>,
+    pub riders: Vec<Rider>,
     pub queue: Queue,
     pub stamp: u32,
     /// Faces at the ends of the edge under test, as they are: those of `u`, then those of `v` that are not of `u`.
@@ -109,8 +111,8 @@ pub(super) struct Run<'a> {
     pub star: Vec<Corner>,
     /// Faces that the collapse under test folds onto each other: one of v, one of u, and whether both point one way.
     pub pairs: Vec<(u32, u32, bool)>,
-    /// Samples that the collapse under test moves: sample, new face, squared distance.
-    pub moved: Vec<(u32, u32, f64)>,
+    /// Samples that the collapse under test moves.
+    pub moved: Vec<Move>,
     /// Vertices around the edge under test.
     pub ring: Vec<u32>,
     pub living: usize,
@@ -160,12 +162,15 @@ impl<'a> Run<'a> {
             Face { corners, normal: facet.normal, weight: facet.area * omega, omega }
         };
         let faces: Vec<Face> = std::mem::take(&mut block.faces).into_iter().zip(0..).map(face).collect();
+        let riders: Vec<Rider> = std::mem::take(&mut block.samples).into_iter().map(Rider::of).collect();
+        let deviation = riders.iter().map(|s| f64::from(s.weight) * f64::from(s.squared_m2)).sum();
         let mut run = Self {
+            deviation,
             quadrics: Vec::new(),
             version: vec![0; vertices.len()],
             arena,
-            sample_head: vec![NONE; if tracked { faces.len() } else { 0 }],
-            sample_next: vec![NONE; block.samples.len()],
+            rider_head: vec![NONE; if tracked { faces.len() } else { 0 }],
+            riders,
             queue: Queue::new(),
             stamp: 0,
             near: Vec::new(),
@@ -176,7 +181,6 @@ impl<'a> Run<'a> {
             ring: Vec::new(),
             living: faces.len(),
             scale,
-            deviation: block.samples.iter().map(|s| f64::from(s.weight) * f64::from(s.squared_m2)).sum(),
             area_m2,
             held: Vec::new(),
             held_at: scale,
@@ -187,9 +191,8 @@ impl<'a> Run<'a> {
             faces,
             block,
         };
-        for (s, sample) in run.block.samples.iter().enumerate().rev() {
-            run.sample_next[s] = run.sample_head[sample.face as usize];
-            run.sample_head[sample.face as usize] = s as u32;
+        for (s, rider) in run.riders.iter_mut().enumerate().rev() {
+            rider.next = std::mem::replace(&mut run.rider_head[rider.face as usize], s as u32);
         }
         run.sum_planes();
         run
@@ -220,7 +223,8 @@ impl<'a> Run<'a> {
                 }
             }
         }
-        let Self { mut block, vertices, faces, log, folded, deviations, scale, .. } = self;
+        let Self { mut block, vertices, faces, riders, log, folded, deviations, scale, .. } = self;
+        block.samples = riders.into_iter().map(Rider::sample).collect();
         block.faces = faces.iter().map(|f| f.corners).collect();
         drop(faces);
         block.flags = vertices.iter().map(|v| v.flags).collect();
@@ -330,6 +334,7 @@ impl<'a> Run<'a> {
         for &span in spans {
             for &f in self.arena.faces(span) {
                 read ^= self.faces[f as usize].corners[0];
+                read ^= self.rider_head.get(f as usize).copied().unwrap_or(0);
             }
         }
         for &span in spans {
@@ -337,6 +342,8 @@ impl<'a> Run<'a> {
                 for w in self.faces[f as usize].corners {
                     read ^= u32::from(self.vertices[w as usize].flags);
                 }
+                let first = self.rider_head.get(f as usize).copied().unwrap_or(NONE);
+                read ^= self.riders.get(first as usize).map_or(0, |rider| rider.next);
             }
         }
         std::hint::black_box(read);
@@ -600,9 +607,9 @@ impl<'a> Run<'a> {
         self.log.push(Collapse { kept, gone, position: self.block.origin + position, energy, share });
         if self.block.rules.recorded {
             let mut squared = [0f64; MOST_CLASSES];
-            for &(s, _, far) in &self.moved {
-                let class = usize::from(self.block.samples[s as usize].class).min(MOST_CLASSES - 1);
-                squared[class] = squared[class].max(far);
+            for step in &self.moved {
+                let class = usize::from(self.riders[step.rider as usize].class).min(MOST_CLASSES - 1);
+                squared[class] = squared[class].max(step.squared_m2);
             }
             self.deviations.push(squared.map(|s| s.sqrt() as f32));
         }

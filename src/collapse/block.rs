@@ -9,7 +9,7 @@ use glam::DVec3;
 
 use super::Collapse;
 use super::run::Run;
-use super::simplify::MOST_CLASSES;
+use super::simplify::Event;
 use crate::geo::Rect;
 
 /// A vertex that must not move: faces outside the block use it, or two walls cross in it.
@@ -68,7 +68,7 @@ pub struct Rules {
     pub grid_m: f64,
     /// Ends when no more faces are left.
     pub stop_faces: usize,
-    /// Keep the deviations of every event.
+    /// Keep every event with its deviations.
     pub recorded: bool,
 }
 
@@ -119,12 +119,12 @@ pub struct Sample {
 pub struct Collapsed<'a> {
     /// Faces that died have `NONE` as first corner; positions of vertices that died are stale.
     pub block: Block<'a>,
-    /// What was done, in order.
+    /// What was done, in order; empty where the limit grows or there is none, for there one block is the whole mesh.
     pub log: Vec<Collapse>,
-    /// Faces that died because they folded onto others: index into `log`, face.
+    /// Faces that died because they folded onto others: index of the collapse, face.
     pub folded: Vec<(u32, u32)>,
-    /// Per event, if recorded: largest deviation of a sample that it moved, by class, metres.
-    pub deviations: Vec<[f32; MOST_CLASSES]>,
+    /// What was done, in order, if recorded.
+    pub events: Vec<Event>,
     /// Scale reached.
     pub scale: f64,
 }

@@ -66,7 +66,9 @@ use crate::ids::ClassId;
 use crate::mesh::{GRID_PER_M, Mesh};
 use block::{BORDER, Block, Energy, FIX_X, FIX_Y, LOCKED, Limit, Rules, Sample};
 
-pub use simplify::{Event, MOST_CLASSES, Method, Sequence, Simplified, SimplifyConfig, Target, simplify};
+pub use simplify::{
+    Event, MOST_CLASSES, Method, Sequence, Simplified, SimplifyConfig, Target, simplify, simplify_owned,
+};
 
 /// No vertex, no face.
 pub(crate) const NONE: u32 = u32::MAX;

@@ -17,6 +17,8 @@ pub struct Candidate {
 
 const BUCKETS: usize = 8192;
 const SHIFT: u32 = 18;
+/// A drained bucket keeps room for this many.
+const KEPT: usize = 16;
 
 /// See the module.
 pub struct Queue {
@@ -46,6 +48,10 @@ impl Queue {
             if !bucket.is_empty() {
                 batch.extend(bucket.drain(bucket.len().saturating_sub(most)..));
                 return Some(f32::from_bits((self.lowest as u32) << SHIFT));
+            }
+            // What was drained will hardly be filled again.
+            if bucket.capacity() > KEPT {
+                *bucket = Vec::new();
             }
             self.lowest += 1;
         }

@@ -13,7 +13,7 @@ use glam::{DVec3, Vec3};
 use super::block::{BORDER, Block, Collapsed, Energy, Limit};
 use super::energy::{Facet, Form, Quadric, SmallForm};
 use super::queue::{Candidate, Queue};
-use super::simplify::MOST_CLASSES;
+use super::simplify::{Event, MOST_CLASSES};
 use super::star::{Arena, Span};
 use super::track::{Move, Rider};
 use super::{Collapse, NONE};
@@ -126,7 +126,9 @@ pub(super) struct Run<'a> {
     held_at: f64,
     log: Vec<Collapse>,
     folded: Vec<(u32, u32)>,
-    deviations: Vec<[f32; MOST_CLASSES]>,
+    events: Vec<Event>,
+    /// Collapses so far.
+    count: u32,
 }
 
 /// What became of a candidate.
@@ -186,7 +188,8 @@ impl<'a> Run<'a> {
             held_at: scale,
             log: Vec::new(),
             folded: Vec::new(),
-            deviations: Vec::new(),
+            events: Vec::new(),
+            count: 0,
             vertices,
             faces,
             block,
@@ -223,13 +226,14 @@ impl<'a> Run<'a> {
                 }
             }
         }
-        let Self { mut block, vertices, faces, riders, log, folded, deviations, scale, .. } = self;
+        let Self { mut block, vertices, faces, riders, log, folded, events, scale, queue, arena, version, .. } = self;
+        drop((queue, arena, version));
         block.samples = riders.into_iter().map(Rider::sample).collect();
         block.faces = faces.iter().map(|f| f.corners).collect();
         drop(faces);
         block.flags = vertices.iter().map(|v| v.flags).collect();
-        block.positions = vertices.into_iter().map(|v| v.at).collect();
-        Collapsed { block, log, folded, deviations, scale }
+        block.positions = vertices.iter().map(|v| v.at).collect();
+        Collapsed { block, log, folded, events, scale }
     }
 
     /// Every vertex's planes.
@@ -577,7 +581,7 @@ impl<'a> Run<'a> {
         if self.pairs.is_empty() {
             return;
         }
-        let event = self.log.len() as u32;
+        let event = self.count;
         for corner in star.iter().filter(|c| c.dies) {
             let face = corner.ids;
             if !(face.contains(&u) && face.contains(&v)) {
@@ -604,14 +608,19 @@ impl<'a> Run<'a> {
     fn record(&mut self, u: u32, v: u32, position: DVec3, energy: f32, share: f32) {
         let id = |v: u32| self.block.vertex_ids.get(v as usize).copied().unwrap_or(v);
         let (kept, gone) = (id(u), id(v));
-        self.log.push(Collapse { kept, gone, position: self.block.origin + position, energy, share });
+        let position = self.block.origin + position;
+        self.count += 1;
+        if matches!(self.block.rules.limit, Limit::Scale(_)) {
+            self.log.push(Collapse { kept, gone, position, energy, share });
+        }
         if self.block.rules.recorded {
             let mut squared = [0f64; MOST_CLASSES];
             for step in &self.moved {
                 let class = usize::from(self.riders[step.rider as usize].class).min(MOST_CLASSES - 1);
                 squared[class] = squared[class].max(step.squared_m2);
             }
-            self.deviations.push(squared.map(|s| s.sqrt() as f32));
+            let deviation_m = squared.map(|s| s.sqrt() as f32);
+            self.events.push(Event { kept, gone, position, energy, deviation_m });
         }
     }
 }

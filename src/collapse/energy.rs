@@ -106,6 +106,7 @@ impl Form {
     }
 
     /// Half its gradient at `x`.
+    #[inline]
     pub fn times(&self, x: DVec3) -> DVec3 {
         DVec3::new(
             self.xx * x.x + self.xy * x.y + self.xz * x.z,
@@ -115,6 +116,7 @@ impl Form {
     }
 
     /// The step y of least yᵀAy + 2g·y, a little shortened where A leaves it free; 0 along `fixed` axes.
+    #[inline]
     pub fn least(&self, g: DVec3, fixed: [bool; 3]) -> DVec3 {
         let lambda = TIKHONOV * (self.xx + self.yy + self.zz) + f64::MIN_POSITIVE;
         let mut m = Self { xx: self.xx + lambda, yy: self.yy + lambda, zz: self.zz + lambda, ..*self };

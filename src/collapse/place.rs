@@ -26,7 +26,7 @@ impl Run<'_> {
             return self.place(u, v).map(|p| p.1);
         }
         let pull = Pull::of(&self.vertices[u as usize], &self.vertices[v as usize])?;
-        Some(if self.block.rules.half_edge { pull.half_edge()?.1 } else { pull.free() })
+        Some(if self.block.rules.half_edge { pull.half_edge()?.1 } else { pull.at(pull.step()) })
     }
 
     /// Where the collapse of `uv` would put the vertex, and at what energy; none if their constraints disagree. What is
@@ -162,86 +162,78 @@ fn snapped(p: DVec3, grid_m: f64) -> DVec3 {
 }
 
 /// What two vertices want of the one they merge into, about the place where the search starts: yᵀSy + 2g·y + c.
-struct Pull {
+struct Pull<'a> {
     start: DVec3,
     sum: Form,
     g: DVec3,
     c: f64,
     mask: u8,
-    /// The ends, from the start; an end that the other's constraints forbid is none.
-    ends: [Option<DVec3>; 2],
-    positions: [DVec3; 2],
+    ends: [&'a Vertex; 2],
 }
 
-impl Pull {
-    fn of(u: &Vertex, v: &Vertex) -> Option<Self> {
+impl<'a> Pull<'a> {
+    #[inline(always)]
+    fn of(u: &'a Vertex, v: &'a Vertex) -> Option<Self> {
         let (start, mask) = start(u, v)?;
         let (a, b) = (start - u.at, start - v.at);
         let (mut sum, other) = (u.form.form(), v.form.form());
         let (of_a, of_b) = (sum.times(a), other.times(b));
         sum += other;
-        let ends = if mask == 0 {
-            [Some(-a), Some(-b)]
-        } else {
-            [keeps(v, u.at), keeps(u, v.at)].map(|p| p.map(|p| p - start))
-        };
-        Some(Self { start, sum, g: of_a + of_b, c: a.dot(of_a) + b.dot(of_b), mask, ends, positions: [u.at, v.at] })
+        Some(Self { start, sum, g: of_a + of_b, c: a.dot(of_a) + b.dot(of_b), mask, ends: [u, v] })
     }
 
     /// Takes out a plane through both ends.
     fn take(&mut self, n: DVec3, weight: f64) {
-        let d = n.dot(self.start - self.positions[0]);
+        let d = n.dot(self.start - self.ends[0].at);
         self.sum -= Form::of_plane(n, weight);
         self.g -= n * (weight * d);
         self.c -= weight * d * d;
     }
 
     /// From the start to the best place that the constraints allow.
+    #[inline(always)]
     fn step(&self) -> DVec3 {
         let y = self.sum.least(self.g, fixed(self.mask));
-        if self.trusts(y) {
-            return y;
-        }
-        let [a, b] = self.ends;
-        [Some(DVec3::ZERO), a, b]
-            .into_iter()
-            .flatten()
-            .min_by(|a, b| self.at(*a).total_cmp(&self.at(*b)))
-            .unwrap_or_default()
+        let [u, v] = self.ends;
+        let far_squared = FARTHEST_LENGTHS * FARTHEST_LENGTHS * (u.at - v.at).length_squared();
+        if y.length_squared() <= far_squared { y } else { self.best_of_few() }
     }
 
-    fn trusts(&self, y: DVec3) -> bool {
-        let [p, q] = self.positions;
-        y.length_squared() <= FARTHEST_LENGTHS * FARTHEST_LENGTHS * (p - q).length_squared()
+    /// To the start or an end, whatever is best.
+    fn best_of_few(&self) -> DVec3 {
+        let ends = self.allowed_ends().map(|p| p - self.start);
+        ends.fold(DVec3::ZERO, |best, y| if self.at(y) < self.at(best) { y } else { best })
     }
 
-    /// The energy at the best place.
-    fn free(&self) -> f32 {
-        self.at(self.step())
+    /// The places of the ends that the other end's constraints allow.
+    fn allowed_ends(&self) -> impl Iterator<Item = DVec3> {
+        let [u, v] = self.ends;
+        [keeps(v, u.at), keeps(u, v.at)].into_iter().flatten()
     }
 
     /// The better end.
     fn half_edge(&self) -> Option<(DVec3, f32)> {
-        let ends = self.ends.into_iter().zip(self.positions);
-        let ends = ends.filter_map(|(y, p)| y.map(|y| (p, self.at(y))));
+        let ends = self.allowed_ends().map(|p| (p, self.at(p - self.start)));
         ends.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     /// The energy at `y` from the start, never negative.
+    #[inline(always)]
     fn at(&self, y: DVec3) -> f32 {
         (y.dot(self.sum.times(y)) + 2.0 * self.g.dot(y) + self.c).max(0.0) as f32
     }
 }
 
 /// Where the search for the best place starts, and what must not change there; none if the constraints disagree.
+#[inline(always)]
 fn start(u: &Vertex, v: &Vertex) -> Option<(DVec3, u8)> {
-    let both = u.flags | v.flags;
-    let mut start = (u.at + v.at) * 0.5;
-    if both & (LOCKED | FIX_X | FIX_Y) == 0 {
-        return Some((start, 0));
-    }
+    let middle = (u.at + v.at) * 0.5;
+    if (u.flags | v.flags) & (LOCKED | FIX_X | FIX_Y) == 0 { Some((middle, 0)) } else { constrained(u, v, middle) }
+}
+
+fn constrained(u: &Vertex, v: &Vertex, mut start: DVec3) -> Option<(DVec3, u8)> {
     let (mu, mv) = (u.flags & (FIX_X | FIX_Y), v.flags & (FIX_X | FIX_Y));
-    if both & LOCKED != 0 || (mu & mv != mu && mu & mv != mv) {
+    if (u.flags | v.flags) & LOCKED != 0 || (mu & mv != mu && mu & mv != mv) {
         return None;
     }
     let (fixed_u, fixed_v) = (fixed(mu), fixed(mv));

@@ -193,7 +193,7 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     let scheme = scheme(args.budget.as_deref())?;
     let wanted = |mesh: &Mesh| are_classes_wanted(mesh, args);
     let front = front(&args.inputs, args.labels.as_deref(), args.allow_outside, wanted, reporter)?;
-    let Front { mesh, mut classes, gate, origin, images: refs } = front;
+    let Front { mut mesh, mut classes, gate, origin, images: refs } = front;
     classes.scheme = scheme;
     let is_painted = format != Format::Ply && !args.no_texture && Surface::from(&mesh).is_painted();
     if is_painted {
@@ -209,25 +209,30 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         refit: !args.no_refit && args.record.is_none(),
         record: args.record.is_some(),
     };
-    let simple = collapse::simplify(&mesh, &classes, &config);
-    stage.finish(format!("{} → {} triangles", mesh.faces.len(), simple.faces.len()));
+    let (source_faces, keeps_classes) = (mesh.faces.len(), are_classes_wanted(&mesh, args));
+    let scheme = classes.scheme.clone();
+    let simple = if is_painted {
+        collapse::simplify(&mesh, &classes, &config)
+    } else {
+        collapse::simplify_owned(std::mem::take(&mut mesh), classes, &config)
+    };
+    stage.finish(format!("{source_faces} → {} triangles", simple.faces.len()));
     reporter.check()?;
 
     let plain = Plain {
         positions: simple.positions.iter().map(|p| *p + origin).collect(),
         faces: simple.faces.clone(),
-        classes: if are_classes_wanted(&mesh, args) { simple.labels.clone() } else { Vec::new() },
+        classes: if keeps_classes { simple.labels.clone() } else { Vec::new() },
     };
     let plain = plain.ordered();
     let texture = if is_painted { Some(paint(&plain, origin, &mesh, refs, args, reporter)?) } else { None };
     reporter.check()?;
 
     let stage = reporter.stage("write", 0);
-    let about =
-        About { origin, scheme: classes.scheme.clone(), method: args.method.name(), tracked: args.method.is_tracked() };
+    let about = About { origin, scheme: scheme.clone(), method: args.method.name(), tracked: args.method.is_tracked() };
     let made = match &texture {
-        Some(texture) => painted::files(&plain, &texture.paint, &args.out, format, &classes.scheme)?,
-        None => vec![(args.out.clone(), plain.bytes(format, &classes.scheme)?)],
+        Some(texture) => painted::files(&plain, &texture.paint, &args.out, format, &scheme)?,
+        None => vec![(args.out.clone(), plain.bytes(format, &scheme)?)],
     };
     let recorded = simple.sequence.as_ref().map(|sequence| record::encode(sequence, &about)).transpose()?;
     let mut files: Vec<(&Path, &[u8])> = made.iter().map(|(path, bytes)| (path.as_path(), bytes.as_slice())).collect();
@@ -243,7 +248,7 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     let report = json!({
         "out": args.out,
         "method": args.method.name(),
-        "source_faces": mesh.faces.len(),
+        "source_faces": source_faces,
         "faces": plain.faces.len(),
         "collapses": simple.sequence.as_ref().map(|s| s.log.events.len()),
         "bounds_m": bounds_by_name(&about, &bounds),

@@ -30,17 +30,30 @@ pub fn split_faces(mut faces: Vec<u32>, centers: &[DVec2], most: usize, share: f
     a
 }
 
-/// Vertices on an edge with one face.
+/// Vertices on an edge with one face. Edges are filed under their lower end: six of them are sorted sooner than all.
 pub fn border_of(vertices: usize, faces: &[[u32; 3]]) -> Vec<bool> {
-    let mut edges: Vec<(u32, u32)> = faces
-        .par_iter()
-        .flat_map_iter(|&[a, b, c]| [(a, b), (b, c), (c, a)].map(|(u, v)| (u.min(v), u.max(v))))
-        .collect();
-    edges.par_sort_unstable();
+    let edges = || faces.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);
+    let mut start = vec![0u32; vertices + 1];
+    edges().for_each(|(a, b)| start[a.min(b) as usize] += 1);
+    let mut total = 0;
+    for at in &mut start {
+        total += *at;
+        *at = total;
+    }
+    let mut upper = vec![0u32; total as usize];
+    for (a, b) in edges() {
+        let at = &mut start[a.min(b) as usize];
+        *at -= 1;
+        upper[*at as usize] = a.max(b);
+    }
     let mut border = vec![false; vertices];
-    for group in edges.chunk_by(|a, b| a == b).filter(|g| g.len() == 1) {
-        border[group[0].0 as usize] = true;
-        border[group[0].1 as usize] = true;
+    for v in 0..vertices {
+        let filed = &mut upper[start[v] as usize..start[v + 1] as usize];
+        filed.sort_unstable();
+        for group in filed.chunk_by(|a, b| a == b).filter(|g| g.len() == 1) {
+            border[v] = true;
+            border[group[0] as usize] = true;
+        }
     }
     border
 }

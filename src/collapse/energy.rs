@@ -1,4 +1,8 @@
-//! The energy of a collapse: area-weighted, budget-weighted squared distance to the planes of current faces.
+//! The energy of a collapse: area-weighted, budget-weighted squared distance to planes.
+//!
+//! Planes of current faces all meet in their vertex, so about the vertex itself their form has no linear and no constant
+//! part: a [`Form`] has six numbers where a [`Quadric`] has ten, and none of them is a small difference of large ones.
+//! Only planes that are not current (the baselines') and points (the refit's) need a [`Quadric`].
 
 use glam::{DVec3, Vec3};
 
@@ -19,9 +23,9 @@ pub struct Quadric {
     c: f64,
 }
 
-/// Unit normal and area of a current face, in 16 bytes; its plane goes through its first corner.
+/// Unit normal and area of a current face, in 16 bytes.
 ///
-/// What goes into a vertex's quadric has to come out again when the face changes, to the bit. So both are computed from
+/// What goes into a vertex's form has to come out again when the face changes, to the bit. So both are computed from
 /// this, never from the corners.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Facet {
@@ -41,12 +45,6 @@ impl Facet {
         } else {
             Self::default()
         }
-    }
-
-    /// Its plane's form with weight area · `omega`, when `corner` is its first corner.
-    pub fn quadric(&self, corner: DVec3, omega: f64) -> Quadric {
-        let n = self.normal.as_dvec3();
-        Quadric::of_plane(n, -n.dot(corner), f64::from(self.area) * omega)
     }
 }
 
@@ -84,24 +82,86 @@ impl Quadric {
 
     /// The point of least energy near `start`; coordinates with a true `fixed` keep their value of `start`.
     pub fn least(&self, start: DVec3, fixed: [bool; 3]) -> DVec3 {
-        let g = self.times(start) + self.b;
-        let lambda = TIKHONOV * (self.xx + self.yy + self.zz) + f64::MIN_POSITIVE;
-        let mut m = [
-            [self.xx + lambda, self.xy, self.xz],
-            [self.xy, self.yy + lambda, self.yz],
-            [self.xz, self.yz, self.zz + lambda],
-        ];
-        let mut r = [-g.x, -g.y, -g.z];
-        for k in (0..3).filter(|&k| fixed[k]) {
-            m[k] = [0.0; 3];
-            m.iter_mut().for_each(|row| row[k] = 0.0);
-            (m[k][k], r[k]) = (lambda, 0.0);
-        }
-        start + solve(m, r)
+        let Self { xx, xy, xz, yy, yz, zz, .. } = *self;
+        start + Form { xx, xy, xz, yy, yz, zz }.least(self.times(start) + self.b, fixed)
     }
 }
 
-impl std::ops::SubAssign for Quadric {
+/// A quadratic form Σ w·(n·x)² about the place where the planes meet.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Form {
+    xx: f64,
+    xy: f64,
+    xz: f64,
+    yy: f64,
+    yz: f64,
+    zz: f64,
+}
+
+impl Form {
+    /// The form of one plane n·x = 0 with weight `w`.
+    pub fn of_plane(n: DVec3, w: f64) -> Self {
+        let (wx, wy) = (w * n.x, w * n.y);
+        Self { xx: wx * n.x, xy: wx * n.y, xz: wx * n.z, yy: wy * n.y, yz: wy * n.z, zz: w * n.z * n.z }
+    }
+
+    /// Half its gradient at `x`.
+    #[inline]
+    pub fn times(&self, x: DVec3) -> DVec3 {
+        DVec3::new(
+            self.xx * x.x + self.xy * x.y + self.xz * x.z,
+            self.xy * x.x + self.yy * x.y + self.yz * x.z,
+            self.xz * x.x + self.yz * x.y + self.zz * x.z,
+        )
+    }
+
+    /// The step y of least yᵀAy + 2g·y, a little shortened where A leaves it free; 0 along `fixed` axes.
+    #[inline]
+    pub fn least(&self, g: DVec3, fixed: [bool; 3]) -> DVec3 {
+        let lambda = TIKHONOV * (self.xx + self.yy + self.zz) + f64::MIN_POSITIVE;
+        let mut m = Self { xx: self.xx + lambda, yy: self.yy + lambda, zz: self.zz + lambda, ..*self };
+        let mut r = -g;
+        if fixed[0] {
+            (m.xx, m.xy, m.xz, r.x) = (lambda, 0.0, 0.0, 0.0);
+        }
+        if fixed[1] {
+            (m.yy, m.xy, m.yz, r.y) = (lambda, 0.0, 0.0, 0.0);
+        }
+        if fixed[2] {
+            (m.zz, m.xz, m.yz, r.z) = (lambda, 0.0, 0.0, 0.0);
+        }
+        m.solve(r)
+    }
+
+    /// x with A·x = r, by the cofactors of a positive definite A; zero where it is singular all the same.
+    fn solve(&self, r: DVec3) -> DVec3 {
+        let Self { xx, xy, xz, yy, yz, zz } = *self;
+        let cofactors = Self {
+            xx: yy * zz - yz * yz,
+            xy: xz * yz - xy * zz,
+            xz: xy * yz - xz * yy,
+            yy: xx * zz - xz * xz,
+            yz: xy * xz - xx * yz,
+            zz: xx * yy - xy * xy,
+        };
+        let det = xx * cofactors.xx + xy * cofactors.xy + xz * cofactors.xz;
+        let x = cofactors.times(r) * det.recip();
+        if x.is_finite() { x } else { DVec3::ZERO }
+    }
+}
+
+impl std::ops::AddAssign for Form {
+    fn add_assign(&mut self, o: Self) {
+        self.xx += o.xx;
+        self.xy += o.xy;
+        self.xz += o.xz;
+        self.yy += o.yy;
+        self.yz += o.yz;
+        self.zz += o.zz;
+    }
+}
+
+impl std::ops::SubAssign for Form {
     fn sub_assign(&mut self, o: Self) {
         self.xx -= o.xx;
         self.xy -= o.xy;
@@ -109,8 +169,20 @@ impl std::ops::SubAssign for Quadric {
         self.yy -= o.yy;
         self.yz -= o.yz;
         self.zz -= o.zz;
-        self.b -= o.b;
-        self.c -= o.c;
+    }
+}
+
+/// A [`Form`] in half the memory.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct SmallForm([f32; 6]);
+
+impl SmallForm {
+    pub fn of(form: &Form) -> Self {
+        Self([form.xx, form.xy, form.xz, form.yy, form.yz, form.zz].map(|x| x as f32))
+    }
+    pub fn form(&self) -> Form {
+        let [xx, xy, xz, yy, yz, zz] = self.0.map(f64::from);
+        Form { xx, xy, xz, yy, yz, zz }
     }
 }
 
@@ -125,15 +197,6 @@ impl std::ops::AddAssign for Quadric {
         self.b += o.b;
         self.c += o.c;
     }
-}
-
-/// Solves a symmetric positive definite 3×3 system by its cofactors; zero where it is singular all the same.
-fn solve(m: [[f64; 3]; 3], r: [f64; 3]) -> DVec3 {
-    let row = m.map(DVec3::from_array);
-    let (c0, c1, c2) = (row[1].cross(row[2]), row[2].cross(row[0]), row[0].cross(row[1]));
-    let det = row[0].dot(c0);
-    let x = (c0 * r[0] + c1 * r[1] + c2 * r[2]) / det;
-    if x.is_finite() { x } else { DVec3::ZERO }
 }
 
 #[cfg(test)]

@@ -1,9 +1,9 @@
 //! Which collapses are allowed: no new non-manifold edges, no flips, no face across open space.
 
-use glam::DVec3;
+use glam::{DVec3, Vec3};
 
-use super::block::{Corner, Mark, Run};
 use super::energy::Facet;
+use super::run::{Corner, Face, Mark, Run, Vertex};
 use crate::geo::bvh::closest_on_triangle;
 
 /// A face may turn by at most this much in one collapse (cosine): beyond it, it flips or becomes a sliver.
@@ -15,66 +15,87 @@ impl Run<'_> {
     /// fold onto each other are no obstacle: two that point opposite ways enclose nothing and vanish together, of two
     /// that point the same way one stays. So tunnels, flaps and double walls close instead of stopping all around them.
     ///
-    /// Fills `ring` with the common neighbours and `pairs` with the folded faces.
+    /// Fills `ring` with the vertices around the edge and `pairs` with the folded faces.
     pub(super) fn link_allows(&mut self, u: u32, v: u32) -> bool {
         self.stamp += 1;
         self.pairs.clear();
         self.ring.clear();
-        for &f in self.stars.faces(u) {
-            for w in self.block.faces[f as usize] {
-                let mark = &mut self.mark[w as usize];
-                *mark = if mark.stamp == self.stamp { *mark } else { Mark { stamp: self.stamp, ..Mark::default() } };
-                mark.of_u += 1;
-            }
+        let near = std::mem::take(&mut self.near);
+        let met = self.count_faces(&near, u, v);
+        self.near = near;
+        if !met {
+            return false;
         }
-        for i in 0..self.stars.count(v) as usize {
-            let f = self.stars.faces(v)[i];
-            let face = self.block.faces[f as usize];
-            let dies = face.contains(&u);
-            let mut common = 0;
-            for w in face.into_iter().filter(|&w| w != u && w != v) {
-                let mark = &mut self.mark[w as usize];
-                if mark.stamp == self.stamp {
-                    common += 1;
-                    mark.of_v += 1;
-                    mark.dying += 2 * u16::from(dies);
-                    if mark.of_v == 1 {
-                        self.ring.push(w);
-                    }
-                }
+        let [pu, pv] = [u, v].map(|v| self.at(v));
+        self.ring.iter().all(|&w| {
+            let Vertex { mark: Mark { of_u, of_v, dying, .. }, at: pw, .. } = self.vertices[w as usize];
+            if of_u == 0 || of_v == 0 {
+                return true;
             }
-            if !dies && common == 2 && !self.fold(u, v, f) {
-                return false;
+            let loop_m = || (pu - pv).length() + (pv - pw).length() + (pw - pu).length();
+            let left = (u16::from(of_u) + u16::from(of_v)).saturating_sub(u16::from(dying));
+            left <= u16::from(of_u.max(of_v).max(2)) || loop_m() <= self.block.rules.loop_reach_m
+        })
+    }
+
+    /// Marks the ring with the faces that it shares with u and v; false where u and v are no edge, or folded faces may
+    /// not meet.
+    fn count_faces(&mut self, near: &[(u32, Face)], u: u32, v: u32) -> bool {
+        let (of_u, of_v) = near.split_at(self.near_u);
+        let mut shared = 0;
+        for (_, face) in of_u {
+            shared += usize::from(face.corners.contains(&v));
+            for w in face.corners.into_iter().filter(|&w| w != u && w != v) {
+                let mark = self.mark(w);
+                mark.of_u = mark.of_u.saturating_add(1);
             }
         }
         // Vertices that faces do not join any more, or never did.
-        if self.block.rules.gap_reach_m == 0.0 && self.shared_faces(u, v) == 0 {
+        if shared == 0 && self.block.rules.gap_reach_m == 0.0 {
             return false;
         }
-        let [pu, pv] = [u, v].map(|v| self.block.positions[v as usize]);
-        self.ring.iter().all(|w| {
-            let Mark { of_u, of_v, dying, .. } = self.mark[*w as usize];
-            let pw = self.block.positions[*w as usize];
-            let loop_m = || (pu - pv).length() + (pv - pw).length() + (pw - pu).length();
-            (of_u + of_v).saturating_sub(dying) <= of_u.max(of_v).max(2) || loop_m() <= self.block.rules.loop_reach_m
-        })
+        for (f, face) in of_v {
+            let dies = face.corners.contains(&u);
+            let mut common = 0;
+            for w in face.corners.into_iter().filter(|&w| w != u && w != v) {
+                let mark = self.mark(w);
+                common += usize::from(mark.of_u > 0);
+                mark.of_v = mark.of_v.saturating_add(1);
+                mark.dying = mark.dying.saturating_add(2 * u8::from(dies));
+            }
+            if !dies && common == 2 && !self.fold(u, v, *f) {
+                return false;
+            }
+        }
+        true
+    }
+
+    /// The mark of `w`, which is on the ring from now on.
+    fn mark(&mut self, w: u32) -> &mut Mark {
+        let mark = &mut self.vertices[w as usize].mark;
+        if mark.stamp != self.stamp {
+            *mark = Mark { stamp: self.stamp, ..Mark::default() };
+            self.ring.push(w);
+        }
+        mark
     }
 
     /// Pairs face `f` of v with the face of u that it would fold onto, if there is one; false where they may not meet.
     fn fold(&mut self, u: u32, v: u32, f: u32) -> bool {
-        let [a, b] = after(self.block.faces[f as usize], v);
-        let onto = self.stars.faces(u).iter().copied().find(|&g| {
-            let other = &self.block.faces[g as usize];
+        let [a, b] = after(self.faces[f as usize].corners, v);
+        let onto = self.star_of(u).iter().copied().find(|&g| {
+            let other = &self.faces[g as usize].corners;
             other.contains(&a) && other.contains(&b)
         });
         let Some(g) = onto else { return true };
         if self.group_of(f) != self.group_of(g) {
             return false;
         }
-        let same = after(self.block.faces[g as usize], u)[0] == a;
+        let same = after(self.faces[g as usize].corners, u)[0] == a;
         self.pairs.push((f, g, same));
         for w in [a, b] {
-            self.mark[w as usize].dying += if same { 1 } else { 2 };
+            let dying = &mut self.vertices[w as usize].mark.dying;
+            *dying = dying.saturating_add(if same { 1 } else { 2 });
         }
         true
     }
@@ -89,26 +110,24 @@ impl Run<'_> {
     }
 
     fn fill(&self, star: &mut Vec<Corner>, u: u32, v: u32, p: DVec3) -> bool {
-        for (from, to) in [(u, v), (v, u)] {
-            for &f in self.stars.faces(from) {
-                let face = self.block.faces[f as usize];
-                let group = self.group_of(f);
-                let between = face.contains(&to);
-                if between || self.folds(f) {
-                    if from == u || !between {
-                        star.push(Corner { face: f, group, dies: true, facet: Facet::default(), corners: [p; 3] });
-                    }
-                    continue;
+        for (i, &(f, face)) in self.near.iter().enumerate() {
+            let (from, to) = if i < self.near_u { (u, v) } else { (v, u) };
+            let group = self.group_of(f);
+            let between = face.corners.contains(&to);
+            let ids = face.corners;
+            if between || self.folds(f) {
+                if from == u || !between {
+                    star.push(Corner { face: f, group, dies: true, ids, facet: Facet::default(), corners: [p; 3] });
                 }
-                let corners = face.map(|w| if w == from { p } else { self.block.positions[w as usize] });
-                let facet = Facet::of(corners);
-                let old = &self.facets[f as usize];
-                let turned = old.area > 0.0 && facet.normal.dot(old.normal) < LEAST_TURN_COS;
-                if turned || facet.area <= 0.0 || !self.stays(group, p) {
-                    return false;
-                }
-                star.push(Corner { face: f, group, dies: false, facet, corners });
+                continue;
             }
+            let corners = ids.map(|w| if w == from { p } else { self.at(w) });
+            let facet = Facet::of(corners);
+            let turned = facet.normal.dot(face.normal) < LEAST_TURN_COS && face.normal != Vec3::ZERO;
+            if turned || facet.area <= 0.0 || !self.stays(group, p) {
+                return false;
+            }
+            star.push(Corner { face: f, group, dies: false, ids, facet, corners });
         }
         true
     }
@@ -126,10 +145,10 @@ impl Run<'_> {
     pub(super) fn folded_energy(&self) -> f32 {
         let energy = |f: u32| {
             let [a, b, c] = self.corners(f);
-            let area = f64::from(self.facets[f as usize].area);
+            let area = f64::from(Facet::of([a, b, c]).area);
             let around = (b - a).length() + (c - b).length() + (a - c).length();
             let radius = if around > 0.0 { 2.0 * area / around } else { 0.0 };
-            area * f64::from(self.block.omega[f as usize]) * radius * radius
+            f64::from(self.faces[f as usize].weight) * radius * radius
         };
         self.pairs.iter().filter(|p| !p.2).map(|&(f, g, _)| energy(f) + energy(g)).sum::<f64>() as f32
     }
@@ -139,7 +158,7 @@ impl Run<'_> {
     /// as one collapse can tell.
     pub(super) fn spans_allow(&self) -> bool {
         self.star.iter().filter(|c| !c.dies).all(|c| {
-            let limit_squared = self.scale * self.scale / f64::from(self.block.omega[c.face as usize]);
+            let limit_squared = self.scale * self.scale / f64::from(self.faces[c.face as usize].omega);
             let near = |p: DVec3| {
                 let squared = |old: &Corner| (closest_on_triangle(p, &self.corners(old.face)) - p).length_squared();
                 squared(c) <= limit_squared || self.star.iter().any(|old| squared(old) <= limit_squared)

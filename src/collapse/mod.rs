@@ -51,7 +51,7 @@ mod place;
 mod queue;
 pub mod record;
 mod refit;
-mod samples;
+mod run;
 mod simplify;
 mod star;
 mod track;
@@ -59,7 +59,7 @@ mod volume;
 pub mod window;
 
 pub use log::{Collapse, CollapseLog, MOST_CLASSES, Sequence};
-pub use simplify::{Method, Simplified, SimplifyConfig, Target, simplify};
+pub use simplify::{Method, Simplified, SimplifyConfig, Target, simplify, simplify_owned};
 pub use window::CollapseConfig;
 
 /// No vertex, no face.

@@ -31,8 +31,7 @@ use serde::{Deserialize, Serialize};
 use super::block::{BORDER, Block, Collapsed, Energy, Limit, Rules, Sample};
 use super::blocks::border_of;
 use super::refit::{self, Point};
-use super::samples::Samples;
-use super::{CollapseLog, NONE, Sequence};
+use super::{CollapseLog, MOST_CLASSES, NONE, Sequence};
 use crate::classes::Classes;
 use crate::ids::ClassId;
 use crate::mesh::{GRID_PER_M, Mesh};
@@ -111,51 +110,73 @@ pub fn simplify(mesh: &Mesh, classes: &Classes, config: &SimplifyConfig) -> Simp
     if mesh.faces.is_empty() {
         return Simplified::default();
     }
-    let (mesh, face_ids) = in_order(mesh, config.grid_m);
-    let classes = classes.inherited(&face_ids);
-    let plan = Plan::of(&mesh, &classes, config);
-    let mut done = plan.block(&mesh, &classes).collapse();
-    let sequence = config.record.then(|| sequence(&mesh, &classes, &mut done, config.grid_m));
-    plan.cut(&mesh, &classes, &face_ids, done, sequence)
+    Job::of(mesh, classes, config).run()
 }
 
-/// What a run needs beside the mesh.
-struct Plan<'a> {
+/// As [`simplify`], with less memory: the input is let go before the work starts.
+pub fn simplify_owned(mesh: Mesh, classes: Classes, config: &SimplifyConfig) -> Simplified {
+    if mesh.faces.is_empty() {
+        return Simplified::default();
+    }
+    let job = Job::of(&mesh, &classes, config);
+    drop((mesh, classes));
+    job.run()
+}
+
+/// What a run needs of its input.
+struct Job<'a> {
     config: &'a SimplifyConfig,
     tracked: bool,
+    /// Ordered, about `origin`.
+    mesh: Mesh,
     origin: DVec3,
+    /// Face of the input that each face is.
+    face_ids: Vec<u32>,
+    labels: Vec<ClassId>,
     budgets: Vec<f64>,
-    samples: Samples,
+    /// Σ P(c|f)/b_c² by face, 1/m²; empty for methods that do not weigh.
     omega: Vec<f32>,
 }
 
-impl<'a> Plan<'a> {
+impl<'a> Job<'a> {
     fn of(mesh: &Mesh, classes: &Classes, config: &'a SimplifyConfig) -> Self {
         let tracked = matches!(config.method, Method::Semantic | Method::HalfEdge);
-        let budgets: Vec<f64> = classes.scheme.0.iter().map(|c| c.budget_m).collect();
-        let weight = |f: usize| classes.of(f).iter().zip(&budgets).map(|(p, b)| f64::from(*p) / (b * b)).sum::<f64>();
-        let omega: Vec<f32> = match config.method {
-            Method::Semantic | Method::HalfEdge => (0..mesh.faces.len()).map(|f| weight(f) as f32).collect(),
-            _ => vec![1.0; mesh.faces.len()],
-        };
-        let samples = if tracked {
-            let one = vec![0; mesh.faces.len()];
-            Samples::of(mesh, &one, classes, &omega, &budgets)
-        } else {
-            Samples::default()
-        };
+        let (mut mesh, face_ids) = in_order(mesh, config.grid_m);
         // Without a fold: on the grid, so that differences stay exact.
         let origin = mesh.positions[mesh.positions.len() / 2];
-        Self { config, tracked, origin, budgets, samples, omega }
+        mesh.positions.iter_mut().for_each(|p| *p -= origin);
+        let budgets: Vec<f64> = classes.scheme.0.iter().map(|c| c.budget_m).collect();
+        let weight = |f: usize| classes.of(f).iter().zip(&budgets).map(|(p, b)| f64::from(*p) / (b * b)).sum::<f64>();
+        let omega = if tracked { face_ids.iter().map(|&f| weight(f as usize) as f32).collect() } else { Vec::new() };
+        let labels = face_ids.iter().map(|&f| classes.label[f as usize]).collect();
+        Self { config, tracked, mesh, origin, face_ids, labels, budgets, omega }
     }
 
-    fn rules(&self, mesh: &Mesh) -> Rules {
+    fn run(mut self) -> Simplified {
+        let refit = self.config.refit && self.config.method == Method::Semantic;
+        let block = self.block(refit || self.config.record);
+        let mut done = block.collapse();
+        let mut cut = self.cut(&mut done);
+        let samples = std::mem::take(&mut done.block.samples);
+        if refit {
+            let mut points = self.points(samples, &cut.face_ids, cut.scale);
+            refit::refit(&mut cut.positions, &mut cut.faces, &mut points);
+        }
+        if self.config.record {
+            cut.sequence = Some(self.sequence(done));
+        }
+        cut.positions.iter_mut().for_each(|p| *p += self.origin);
+        cut.face_ids.iter_mut().for_each(|f| *f = self.face_ids[*f as usize]);
+        cut
+    }
+
+    fn rules(&self) -> Rules {
         let last = match self.config.target {
             Target::Scale(t) => t,
             Target::Faces(_) => f64::INFINITY,
         };
         let strictest = self.budgets.iter().copied().fold(f64::INFINITY, f64::min);
-        let first = FIRST_LIMIT_EDGES * median_edge(mesh) / strictest;
+        let first = FIRST_LIMIT_EDGES * median_edge(&self.mesh) / strictest;
         Rules {
             energy: match self.config.method {
                 Method::Semantic | Method::Memoryless | Method::HalfEdge => Energy::Memoryless,
@@ -176,104 +197,123 @@ impl<'a> Plan<'a> {
         }
     }
 
-    fn block(&self, mesh: &Mesh, classes: &Classes) -> Block<'static> {
-        let samples: Vec<Sample> = (0..self.samples.vertex.len() as u32)
-            .filter(|&s| self.samples.face[s as usize] != NONE)
-            .map(|s| self.samples.placed(s, self.samples.face[s as usize], mesh, self.origin))
-            .collect();
+    /// The whole mesh as one block; it is kept here only if it is `wanted` again.
+    fn block(&mut self, wanted: bool) -> Block<'static> {
+        let rules = self.rules();
         // The paper's importance of a class, for want of its numbers: the squared inverse of our budget, 1 for the mean.
         let mean = self.budgets.iter().sum::<f64>() / self.budgets.len() as f64;
         let importance = |c: &ClassId| (mean / self.budgets[c.index()]).powi(2) as f32;
         let paper = self.config.method == Method::Paper;
+        let flags = border_of(self.mesh.positions.len(), &self.mesh.faces)
+            .into_iter()
+            .map(|b| if b { BORDER } else { 0 })
+            .collect();
+        let samples = if self.tracked { self.samples() } else { Vec::new() };
+        let Mesh { positions, faces, .. } = if wanted { self.mesh.clone() } else { std::mem::take(&mut self.mesh) };
         Block {
             origin: self.origin,
             vertex_ids: Vec::new(),
-            positions: mesh.positions.iter().map(|p| *p - self.origin).collect(),
-            flags: border_of(mesh.positions.len(), &mesh.faces)
-                .into_iter()
-                .map(|b| if b { BORDER } else { 0 })
-                .collect(),
-            faces: mesh.faces.clone(),
-            omega: self.omega.clone(),
-            paper_weight: if paper { classes.label.iter().map(importance).collect() } else { Vec::new() },
+            positions,
+            flags,
+            faces,
+            omega: if wanted { self.omega.clone() } else { std::mem::take(&mut self.omega) },
+            paper_weight: if paper { self.labels.iter().map(importance).collect() } else { Vec::new() },
             group: Vec::new(),
             boxes: &[],
             samples,
-            rules: self.rules(mesh),
+            rules,
         }
     }
 
-    /// The surface that is left, refitted if the method is.
-    fn cut(
-        &self,
-        mesh: &Mesh,
-        classes: &Classes,
-        face_ids: &[u32],
-        done: Collapsed,
-        sequence: Option<Sequence>,
-    ) -> Simplified {
-        let block = done.block;
-        let mut vertex = vec![NONE; block.positions.len()];
-        let mut face = vec![NONE; block.faces.len()];
-        let mut cut = Simplified { scale: done.scale, sequence, ..Simplified::default() };
-        for (f, corners) in block.faces.iter().enumerate().filter(|(_, c)| c[0] != NONE) {
-            face[f] = cut.faces.len() as u32;
+    /// A sample for each vertex: with the strictest budget and all classes around it, and the weight of the largest face there.
+    fn samples(&self) -> Vec<Sample> {
+        let sample = |&point: &DVec3| Sample {
+            point,
+            weight: 0.0,
+            budget_m: f32::INFINITY,
+            squared_m2: 0.0,
+            face: NONE,
+            classes: 0,
+        };
+        let mut samples: Vec<Sample> = self.mesh.positions.iter().map(sample).collect();
+        let mut largest = vec![-1f32; samples.len()];
+        for (f, face) in self.mesh.faces.iter().enumerate() {
+            let area = self.mesh.cross(f).length() as f32;
+            let budget_m = self.budgets[self.labels[f].index()] as f32;
+            let bit = 1 << self.labels[f].index().min(MOST_CLASSES - 1);
+            for &v in face {
+                let sample = &mut samples[v as usize];
+                sample.budget_m = sample.budget_m.min(budget_m);
+                sample.classes |= bit;
+                sample.weight += area / 6.0;
+                if area > largest[v as usize] {
+                    largest[v as usize] = area;
+                    sample.face = f as u32;
+                }
+            }
+        }
+        samples.iter_mut().for_each(|sample| sample.weight *= self.omega[sample.face as usize]);
+        samples
+    }
+
+    /// The surface that is left, about the origin, with the faces it has of the ordered mesh.
+    fn cut(&self, done: &mut Collapsed) -> Simplified {
+        let positions = std::mem::take(&mut done.block.positions);
+        let faces = std::mem::take(&mut done.block.faces);
+        let mut vertex = vec![NONE; positions.len()];
+        let mut cut = Simplified { scale: done.scale, ..Simplified::default() };
+        for (f, corners) in faces.iter().enumerate().filter(|(_, c)| c[0] != NONE) {
             cut.faces.push(corners.map(|v| {
                 if vertex[v as usize] == NONE {
                     vertex[v as usize] = cut.positions.len() as u32;
-                    cut.positions.push(block.positions[v as usize]);
+                    cut.positions.push(positions[v as usize]);
                 }
                 vertex[v as usize]
             }));
-            cut.face_ids.push(face_ids[f]);
-            cut.labels.push(classes.label[f]);
+            cut.face_ids.push(f as u32);
+            cut.labels.push(self.labels[f]);
         }
-        if self.config.refit && self.config.method == Method::Semantic {
-            let mut points = self.points(mesh, &block.samples, &face, done.scale);
-            refit::refit(&mut cut.positions, &mut cut.faces, &mut points);
-        }
-        cut.positions.iter_mut().for_each(|p| *p += self.origin);
         cut
     }
 
     /// Source vertices and centres of source faces, half of the area each, on faces of the cut.
-    fn points(&self, mesh: &Mesh, samples: &[Sample], face: &[u32], scale: f64) -> Vec<Point> {
-        let mut on_vertex = vec![NONE; mesh.positions.len()];
-        let mut points = Vec::with_capacity(samples.len() + mesh.faces.len());
-        for (i, &v) in self.samples.vertex.iter().filter(|&&v| self.samples.face[v as usize] != NONE).enumerate() {
-            let sample = &samples[i];
-            let f = face[sample.face as usize];
-            on_vertex[v as usize] = f;
+    fn points(&self, samples: Vec<Sample>, face_ids: &[u32], scale: f64) -> Vec<Point> {
+        let mut place = vec![NONE; self.mesh.faces.len()];
+        face_ids.iter().zip(0..).for_each(|(&f, i)| place[f as usize] = i);
+        let mut points = Vec::with_capacity(samples.len() + self.mesh.faces.len());
+        points.extend(samples.into_iter().map(|sample| {
             let limit = (scale * f64::from(sample.budget_m)) as f32;
-            points.push(Point::new(sample.point, 0.5 * sample.weight, limit, f));
-        }
-        for (f, corners) in mesh.faces.iter().enumerate() {
-            let area = 0.5 * mesh.cross(f).length() as f32;
-            let center = mesh.corners(f).iter().sum::<DVec3>() / 3.0 - self.origin;
-            let near = on_vertex[corners[0] as usize];
+            Point::new(sample.point, 0.5 * sample.weight, limit, place[sample.face as usize])
+        }));
+        for (f, corners) in self.mesh.faces.iter().enumerate() {
+            let area = 0.5 * self.mesh.cross(f).length() as f32;
+            let center = self.mesh.corners(f).iter().sum::<DVec3>() / 3.0;
+            let near = points[corners[0] as usize].face;
             points.push(Point::new(center, 0.5 * area * self.omega[f], f32::INFINITY, near));
         }
         points
     }
-}
 
-fn sequence(mesh: &Mesh, classes: &Classes, done: &mut Collapsed, grid_m: f64) -> Sequence {
-    let log = CollapseLog {
-        events: std::mem::take(&mut done.log),
-        deviations_m: std::mem::take(&mut done.deviations),
-        folded: std::mem::take(&mut done.folded),
-        steps: Vec::new(),
-    };
-    Sequence {
-        positions: mesh.positions.clone(),
-        faces: mesh.faces.clone(),
-        labels: classes.label.clone(),
-        grid_m,
-        log,
+    fn sequence(&mut self, done: Collapsed) -> Sequence {
+        let Mesh { mut positions, faces, .. } = std::mem::take(&mut self.mesh);
+        positions.iter_mut().for_each(|p| *p += self.origin);
+        Sequence {
+            positions,
+            faces,
+            labels: std::mem::take(&mut self.labels),
+            grid_m: self.config.grid_m,
+            log: CollapseLog {
+                events: done.log,
+                deviations_m: done.deviations,
+                folded: done.folded,
+                steps: Vec::new(),
+            },
+        }
     }
 }
 
-/// The mesh on the grid with its vertices in Morton order and its faces by their first vertex; and where each face was.
+/// The mesh on the grid with the vertices that it uses in Morton order and its faces by their first vertex; and where
+/// each face was.
 fn in_order(mesh: &Mesh, grid_m: f64) -> (Mesh, Vec<u32>) {
     let low = mesh.positions.iter().copied().fold(DVec3::INFINITY, DVec3::min);
     let high = mesh.positions.iter().copied().fold(DVec3::NEG_INFINITY, DVec3::max);
@@ -282,19 +322,52 @@ fn in_order(mesh: &Mesh, grid_m: f64) -> (Mesh, Vec<u32>) {
         let cell = ((p - low) * cells).as_uvec3();
         spread(cell.x) | spread(cell.y) << 1 | spread(cell.z) << 2
     };
-    let mut order: Vec<(u32, u32)> = mesh.positions.iter().zip(0..).map(|(p, v)| (key(*p), v)).collect();
-    order.sort_unstable();
-    let mut place = vec![0u32; order.len()];
-    order.iter().zip(0..).for_each(|(&(_, v), i)| place[v as usize] = i);
+    let mut place = vec![NONE; mesh.positions.len()];
+    mesh.faces.iter().flatten().for_each(|&v| place[v as usize] = 0);
+    let used = mesh.positions.iter().zip(0u64..).filter(|&(_, v)| place[v as usize] != NONE);
+    let mut order: Vec<u64> = used.map(|(p, v)| u64::from(key(*p)) << 32 | v).collect();
+    sort_by_upper_half(&mut order);
+    order.iter().zip(0..).for_each(|(&at, i)| place[at as u32 as usize] = i);
     let moved = |f: &[u32; 3]| f.map(|v| place[v as usize]);
-    let mut face_ids: Vec<u32> = (0..mesh.faces.len() as u32).collect();
-    face_ids.sort_unstable_by_key(|&f| (moved(&mesh.faces[f as usize]).into_iter().min(), f));
+    // Faces by their first vertex; of the same one, in the order they came in.
+    let first = |f: &[u32; 3]| moved(f).into_iter().fold(NONE, u32::min) as usize;
+    let mut start = vec![0u32; order.len() + 1];
+    mesh.faces.iter().for_each(|f| start[first(f) + 1] += 1);
+    for v in 0..order.len() {
+        start[v + 1] += start[v];
+    }
+    let mut face_ids = vec![0u32; mesh.faces.len()];
+    for (face, f) in mesh.faces.iter().zip(0..) {
+        let at = &mut start[first(face)];
+        face_ids[*at as usize] = f;
+        *at += 1;
+    }
     let ordered = Mesh {
-        positions: order.iter().map(|&(_, v)| (mesh.positions[v as usize] / grid_m).round() * grid_m).collect(),
+        positions: order.iter().map(|&at| (mesh.positions[at as u32 as usize] / grid_m).round() * grid_m).collect(),
         faces: face_ids.iter().map(|&f| moved(&mesh.faces[f as usize])).collect(),
         ..Mesh::default()
     };
     (ordered, face_ids)
+}
+
+/// Stable, in three rounds of ten bits, of which a Morton key has thirty.
+fn sort_by_upper_half(items: &mut Vec<u64>) {
+    let mut other = vec![0u64; items.len()];
+    for shift in [32, 42, 52] {
+        let digit = |x: u64| (x >> shift) as usize & 1023;
+        let mut start = [0usize; 1024];
+        items.iter().for_each(|&x| start[digit(x)] += 1);
+        let mut total = 0;
+        for at in &mut start {
+            total += std::mem::replace(at, total);
+        }
+        for &x in items.iter() {
+            let at = &mut start[digit(x)];
+            other[*at] = x;
+            *at += 1;
+        }
+        std::mem::swap(items, &mut other);
+    }
 }
 
 /// Cells along an axis: three times ten bits.

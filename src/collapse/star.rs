@@ -3,72 +3,96 @@
 //! A vertex that takes over another's faces gets a new list at the arena's end; lists only shrink in place. So a star is
 //! read in one run of memory, on non-manifold meshes too, and the arena grows by about a third of its first size.
 
+/// Where the list of a vertex is in an [`Arena`].
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Span {
+    start: u32,
+    len: u32,
+}
+
+impl Span {
+    /// Number of faces.
+    pub fn len(self) -> u32 {
+        self.len
+    }
+}
+
+/// Lists of faces.
+pub struct Arena(Vec<u32>);
+
+impl Arena {
+    /// The stars of `vertices` vertices.
+    pub fn of(vertices: usize, faces: &[[u32; 3]]) -> (Self, Vec<Span>) {
+        let mut spans = vec![Span::default(); vertices];
+        faces.iter().flatten().for_each(|&v| spans[v as usize].len += 1);
+        let mut total = 0;
+        for span in &mut spans {
+            span.start = total;
+            total += span.len;
+            span.len = 0;
+        }
+        let mut arena = vec![0; total as usize];
+        for (f, face) in faces.iter().enumerate() {
+            for &v in face {
+                let span = &mut spans[v as usize];
+                arena[(span.start + span.len) as usize] = f as u32;
+                span.len += 1;
+            }
+        }
+        (Self(arena), spans)
+    }
+
+    /// The faces of a list.
+    pub fn faces(&self, Span { start, len }: Span) -> &[u32] {
+        &self.0[start as usize..(start + len) as usize]
+    }
+
+    /// Takes `face` out of a list; the order of the others may change.
+    pub fn remove(&mut self, span: &mut Span, face: u32) {
+        let list = &mut self.0[span.start as usize..(span.start + span.len) as usize];
+        if let Some(i) = list.iter().position(|&f| f == face) {
+            list.swap(i, list.len() - 1);
+            span.len -= 1;
+        }
+    }
+
+    /// A new list.
+    pub fn list(&mut self, faces: impl Iterator<Item = u32>) -> Span {
+        let start = self.0.len() as u32;
+        self.0.extend(faces);
+        Span { start, len: self.0.len() as u32 - start }
+    }
+}
+
 /// Faces by vertex.
 pub struct Stars {
-    arena: Vec<u32>,
-    start: Vec<u32>,
-    len: Vec<u32>,
+    arena: Arena,
+    spans: Vec<Span>,
 }
 
 impl Stars {
     /// The stars of `vertices` vertices.
     pub fn of(vertices: usize, faces: &[[u32; 3]]) -> Self {
-        let mut len = vec![0u32; vertices];
-        faces.iter().flatten().for_each(|&v| len[v as usize] += 1);
-        let mut total = 0;
-        let start: Vec<u32> = len
-            .iter()
-            .map(|n| {
-                total += n;
-                total - n
-            })
-            .collect();
-        let mut at = start.clone();
-        let mut arena = vec![0; total as usize];
-        for (f, face) in faces.iter().enumerate() {
-            for &v in face {
-                arena[at[v as usize] as usize] = f as u32;
-                at[v as usize] += 1;
-            }
-        }
-        Self { arena, start, len }
+        let (arena, spans) = Arena::of(vertices, faces);
+        Self { arena, spans }
     }
 
-    /// Faces of `v`; empty once it has merged into another vertex.
+    /// Faces of `v`.
     pub fn faces(&self, v: u32) -> &[u32] {
-        let start = self.start[v as usize] as usize;
-        &self.arena[start..start + self.len[v as usize] as usize]
-    }
-
-    /// Number of faces of `v`.
-    pub fn count(&self, v: u32) -> u32 {
-        self.len[v as usize]
+        self.arena.faces(self.spans[v as usize])
     }
 
     /// Takes `face` out of the list of `v`; the order of the others may change.
     pub fn remove(&mut self, v: u32, face: u32) {
-        let start = self.start[v as usize] as usize;
-        let list = &mut self.arena[start..start + self.len[v as usize] as usize];
-        if let Some(i) = list.iter().position(|&f| f == face) {
-            list.swap(i, list.len() - 1);
-            self.len[v as usize] -= 1;
-        }
+        self.arena.remove(&mut self.spans[v as usize], face);
     }
 
     /// Adds `face` to the list of `v`.
     pub fn add(&mut self, v: u32, face: u32) {
-        let start = self.start[v as usize] as usize;
-        let end = self.arena.len() as u32;
-        self.arena.extend_from_within(start..start + self.len[v as usize] as usize);
-        self.arena.push(face);
-        self.start[v as usize] = end;
-        self.len[v as usize] += 1;
-    }
-
-    /// Gives `v` this list instead of its own.
-    pub fn replace(&mut self, v: u32, faces: impl Iterator<Item = u32>) {
-        self.start[v as usize] = self.arena.len() as u32;
-        self.arena.extend(faces);
-        self.len[v as usize] = self.arena.len() as u32 - self.start[v as usize];
+        let Span { start, len } = self.spans[v as usize];
+        let end = self.arena.0.len() as u32;
+        self.arena.0.extend_from_within(start as usize..(start + len) as usize);
+        self.arena.0.push(face);
+        self.spans[v as usize] = Span { start: end, len: len + 1 };
     }
 }

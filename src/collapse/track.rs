@@ -1,9 +1,45 @@
 //! Samples of the source that ride on the current surface.
 
 use super::NONE;
-use super::block::{Corner, Run};
+use super::block::Sample;
+use super::run::{Corner, Run};
 use crate::geo::bvh::closest_on_triangle;
 use glam::DVec3;
+
+/// A sample, and the one after it on the same face.
+#[derive(Clone, Copy)]
+pub(super) struct Rider {
+    pub point: DVec3,
+    pub weight: f32,
+    pub budget_m: f32,
+    pub squared_m2: f32,
+    pub face: u32,
+    pub next: u32,
+    pub classes: u8,
+}
+
+impl Rider {
+    pub fn of(sample: Sample) -> Self {
+        let Sample { point, weight, budget_m, squared_m2, face, classes } = sample;
+        Self { point, weight, budget_m, squared_m2, face, next: NONE, classes }
+    }
+
+    pub fn sample(self) -> Sample {
+        let Self { point, weight, budget_m, squared_m2, face, classes, .. } = self;
+        Sample { point, weight, budget_m, squared_m2, face, classes }
+    }
+}
+
+/// A sample that the collapse under test moves.
+#[derive(Clone, Copy)]
+pub(super) struct Move {
+    /// Which.
+    pub rider: u32,
+    /// Index into the star of the face it was on; from then on the face it goes to.
+    pub to: u32,
+    /// To that face, m².
+    pub squared_m2: f64,
+}
 
 /// What a collapse would do to the samples of its star.
 pub(super) struct Moved {
@@ -18,49 +54,68 @@ impl Run<'_> {
     /// group's surface than its limit.
     pub(super) fn samples_allow(&mut self) -> Option<Moved> {
         let mut moved = std::mem::take(&mut self.moved);
-        moved.clear();
+        self.list_riders(&mut moved);
         let (mut worst, mut change) = (0f64, 0.0);
-        let allowed = self.star.iter().all(|corner| {
-            let mut s = self.sample_head[corner.face as usize];
-            while s != NONE {
-                let sample = &self.block.samples[s as usize];
-                let (face, squared) = nearest(&self.star, corner, sample.point);
-                let limit = self.scale * f64::from(sample.budget_m);
-                if squared > limit * limit {
-                    return false;
-                }
-                worst = worst.max(squared / (limit * limit));
-                change += f64::from(sample.weight) * (squared - f64::from(sample.squared_m2));
-                moved.push((s, face, squared));
-                s = self.sample_next[s as usize];
+        let scale_squared = self.scale * self.scale;
+        let allowed = moved.iter_mut().all(|step| {
+            let rider = &self.riders[step.rider as usize];
+            let (face, squared) = nearest(&self.star, step.to as usize, rider.point);
+            let budget = f64::from(rider.budget_m);
+            let limit_squared = scale_squared * budget * budget;
+            if squared > limit_squared {
+                return false;
             }
+            worst = worst.max(squared / limit_squared);
+            change += f64::from(rider.weight) * (squared - f64::from(rider.squared_m2));
+            (step.to, step.squared_m2) = (face, squared);
             true
         });
         self.moved = moved;
         allowed.then_some(Moved { share: worst.sqrt() as f32, change })
     }
 
+    /// Lists the samples of the star: the first of every face, then the second, and so on, so that the waits for memory
+    /// overlap.
+    fn list_riders(&self, moved: &mut Vec<Move>) {
+        moved.clear();
+        let first = |(i, corner): (usize, &Corner)| {
+            let rider = self.rider_head[corner.face as usize];
+            (rider != NONE).then_some(Move { rider, to: i as u32, squared_m2: 0.0 })
+        };
+        moved.extend(self.star.iter().enumerate().filter_map(first));
+        let mut at = 0;
+        while at < moved.len() {
+            let Move { rider, to, .. } = moved[at];
+            let next = self.riders[rider as usize].next;
+            if next != NONE {
+                moved.push(Move { rider: next, to, squared_m2: 0.0 });
+            }
+            at += 1;
+        }
+    }
+
     /// Puts the samples onto the faces that `samples_allow` found.
     pub(super) fn move_samples(&mut self, star: &[Corner]) {
-        if self.sample_head.is_empty() {
+        if self.rider_head.is_empty() {
             return;
         }
-        star.iter().for_each(|corner| self.sample_head[corner.face as usize] = NONE);
-        for i in (0..self.moved.len()).rev() {
-            let (s, face, squared) = self.moved[i];
-            self.sample_next[s as usize] = self.sample_head[face as usize];
-            self.sample_head[face as usize] = s;
-            let sample = &mut self.block.samples[s as usize];
-            (sample.face, sample.squared_m2) = (face, squared as f32);
+        star.iter().for_each(|corner| self.rider_head[corner.face as usize] = NONE);
+        for step in self.moved.iter().rev() {
+            let head = &mut self.rider_head[step.to as usize];
+            let rider = &mut self.riders[step.rider as usize];
+            (rider.next, rider.face, rider.squared_m2) = (*head, step.to, step.squared_m2 as f32);
+            *head = step.rider;
         }
     }
 }
 
-/// The living face of `star` in the group of `own` that is nearest to `p`, `own` tried first, and the squared distance.
-fn nearest(star: &[Corner], own: &Corner, p: DVec3) -> (u32, f64) {
+/// The living face of `star` in the group of its face `own` that is nearest to `p`, that one tried first, and the
+/// squared distance.
+fn nearest(star: &[Corner], own: usize, p: DVec3) -> (u32, f64) {
     let mut best = (NONE, f64::INFINITY);
-    let own_first = std::iter::once(own).chain(star.iter().filter(|c| c.face != own.face));
-    for corner in own_first.filter(|c| !c.dies && c.group == own.group) {
+    let group = star[own].group;
+    let own_first = std::iter::once(&star[own]).chain(&star[..own]).chain(&star[own + 1..]);
+    for corner in own_first.filter(|c| !c.dies && c.group == group) {
         let off_plane = corner.facet.normal.as_dvec3().dot(p - corner.corners[0]);
         if off_plane * off_plane < best.1 {
             let squared = (closest_on_triangle(p, &corner.corners) - p).length_squared();

@@ -3,7 +3,8 @@
 
 use glam::{DMat3, DVec3};
 
-use super::block::{BORDER, Run};
+use super::block::BORDER;
+use super::run::Run;
 
 /// Constraints closer to each other than 1° are one (§4, as in the authors' code).
 const ALPHA_COS: f64 = 0.999_847_7;
@@ -65,10 +66,9 @@ impl Constraints {
 
 /// Position and cost of the collapse of `uv`; none where the constraints leave the vertex free.
 pub(super) fn place(run: &Run, u: u32, v: u32) -> Option<(DVec3, f64)> {
-    let positions = &run.block.positions;
-    let middle = (positions[u as usize] + positions[v as usize]) * 0.5;
-    let mut faces: Vec<u32> = run.stars.faces(u).to_vec();
-    faces.extend(run.stars.faces(v).iter().filter(|&&f| !run.block.faces[f as usize].contains(&u)));
+    let middle = (run.at(u) + run.at(v)) * 0.5;
+    let mut faces: Vec<u32> = run.star_of(u).to_vec();
+    faces.extend(run.star_of(v).iter().filter(|&&f| !run.faces[f as usize].corners.contains(&u)));
     let planes: Vec<(DVec3, f64)> = faces
         .iter()
         .map(|&f| {
@@ -90,8 +90,8 @@ pub(super) fn place(run: &Run, u: u32, v: u32) -> Option<(DVec3, f64)> {
     constraints.add_gradient(h, -planes.iter().map(|(n, d)| *n * *d).sum::<DVec3>());
     let mut ring = DVec3::ZERO;
     let mut count = 0.0;
-    for w in faces.iter().flat_map(|&f| run.block.faces[f as usize]).filter(|&w| w != u && w != v) {
-        ring += positions[w as usize] - middle;
+    for w in faces.iter().flat_map(|&f| run.faces[f as usize].corners).filter(|&w| w != u && w != v) {
+        ring += run.at(w) - middle;
         count += 1.0;
     }
     constraints.add_gradient(DMat3::from_diagonal(DVec3::splat(count)), -ring);
@@ -99,22 +99,22 @@ pub(super) fn place(run: &Run, u: u32, v: u32) -> Option<(DVec3, f64)> {
     let x = constraints.solve()?;
     let volume = planes.iter().map(|(n, d)| (n.dot(x) - d).powi(2)).sum::<f64>() / 36.0;
     let swept = border.iter().map(|(a, b)| (*a - x).cross(*b - x).length_squared()).sum::<f64>() / 4.0;
-    let length_squared = (positions[u as usize] - positions[v as usize]).length_squared();
+    let length_squared = (run.at(u) - run.at(v)).length_squared();
     Some((middle + x, VOLUME_SHARE * volume + BORDER_SHARE * swept * length_squared))
 }
 
 /// Open edges at u and v, each once, in the direction of its face, relative to `middle`.
 fn border_edges(run: &Run, u: u32, v: u32, faces: &[u32], middle: DVec3) -> Vec<(DVec3, DVec3)> {
     let mut edges = Vec::new();
-    if (run.block.flags[u as usize] | run.block.flags[v as usize]) & BORDER == 0 {
+    if (run.vertices[u as usize].flags | run.vertices[v as usize].flags) & BORDER == 0 {
         return edges;
     }
     for &f in faces {
-        let face = run.block.faces[f as usize];
+        let face = run.faces[f as usize].corners;
         for k in 0..3 {
             let (a, b) = (face[k], face[(k + 1) % 3]);
             if [a, b].iter().any(|&w| w == u || w == v) && run.shared_faces(a, b) == 1 {
-                edges.push((run.block.positions[a as usize] - middle, run.block.positions[b as usize] - middle));
+                edges.push((run.at(a) - middle, run.at(b) - middle));
             }
         }
     }

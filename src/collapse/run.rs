@@ -1,0 +1,627 @@
+//! The collapse of one block.
+//!
+//! # Method
+//! 1. `rank`: every edge gets an energy; the queue orders them.
+//! 2. A popped edge is placed. It is filed anew if its energy grew, or if its samples say that the true change of squared
+//!    distance is larger than the energy: forms see the last surface only, samples remember the source.
+//! 3. `legal`: no flips, no new non-manifold edges; faces that fold onto each other vanish in pairs.
+//! 4. `track`: samples of the two stars move to the nearest new face, within their limit.
+//! 5. The collapse is done: faces, forms and samples of the star change, edges of the new star are ranked.
+
+use glam::{DVec3, Vec3};
+
+use super::block::{BORDER, Block, Collapsed, Energy, Limit};
+use super::energy::{Facet, Form, Quadric, SmallForm};
+use super::queue::{Candidate, Queue};
+use super::star::{Arena, Span};
+use super::track::{Move, Rider};
+use super::{Collapse, MOST_CLASSES, NONE};
+
+/// An edge is filed again, not collapsed, when its energy grew by more than this since it was ranked.
+const STALE_FACTOR: f32 = 1.1;
+/// Refused edges are tried again when the limit has grown by this.
+const RETRY_FACTOR: f64 = 1.5;
+/// Candidates that are fetched together.
+const BATCH: usize = 10;
+/// Version of a vertex without faces: no sum with it is one that an edge was filed under.
+const GONE: u32 = 1 << 30;
+
+/// A vertex of the surface, in one line of memory: stars are visited in no order that a cache could know.
+#[derive(Clone, Copy)]
+#[repr(align(64))]
+pub(super) struct Vertex {
+    /// Where it is.
+    pub at: DVec3,
+    /// Planes of its faces (memoryless).
+    pub form: SmallForm,
+    /// Its faces.
+    pub star: Span,
+    /// See there.
+    pub mark: Mark,
+    /// `LOCKED`, `FIX_X`, `FIX_Y`, `BORDER`.
+    pub flags: u8,
+}
+
+/// A face of the surface, in 32 bytes.
+#[derive(Clone, Copy)]
+pub(super) struct Face {
+    /// Vertices; all `NONE`: it is gone.
+    pub corners: [u32; 3],
+    /// Unit, zero without area.
+    pub normal: Vec3,
+    /// Area · ω.
+    pub weight: f32,
+    /// Σ P(c|f)/b_c², 1/m².
+    pub omega: f32,
+}
+
+impl Face {
+    fn form(&self) -> Form {
+        Form::of_plane(self.normal.as_dvec3(), f64::from(self.weight))
+    }
+
+    fn lie(&mut self, facet: &Facet) {
+        (self.normal, self.weight) = (facet.normal, facet.area * self.omega);
+    }
+}
+
+/// How many faces a vertex shares with the ends of the edge under test; valid while `stamp` is the run's.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Mark {
+    pub stamp: u32,
+    pub of_u: u8,
+    pub of_v: u8,
+    /// Faces counted that will not be there.
+    pub dying: u8,
+}
+
+/// A face of a star as it would be after the collapse under test.
+#[derive(Clone, Copy)]
+pub(super) struct Corner {
+    pub face: u32,
+    pub group: u32,
+    pub dies: bool,
+    /// Vertices as they are before it.
+    pub ids: [u32; 3],
+    pub facet: Facet,
+    pub corners: [DVec3; 3],
+}
+
+/// The running state behind [`Block::collapse`].
+pub(super) struct Run<'a> {
+    /// Without what is below.
+    pub block: Block<'a>,
+    pub vertices: Vec<Vertex>,
+    pub faces: Vec<Face>,
+    /// Planes of the past by vertex, for energies that have them.
+    pub quadrics: Vec<Quadric>,
+    /// By vertex: grows when edges filed before are no longer what they were.
+    pub version: Vec<u32>,
+    pub arena: Arena,
+    /// By face: the first sample on it.
+    pub rider_head: Vec<u32>,
+    pub riders: Vec<Rider>,
+    pub queue: Queue,
+    pub stamp: u32,
+    /// Faces at the ends of the edge under test, as they are: those of `u`, then those of `v` that are not of `u`.
+    pub near: Vec<(u32, Face)>,
+    /// How many of them are of `u`.
+    pub near_u: usize,
+    pub star: Vec<Corner>,
+    /// Faces that the collapse under test folds onto each other: one of v, one of u, and whether both point one way.
+    pub pairs: Vec<(u32, u32, bool)>,
+    /// Samples that the collapse under test moves.
+    pub moved: Vec<Move>,
+    /// Vertices around the edge under test.
+    pub ring: Vec<u32>,
+    pub living: usize,
+    /// Current t of the limit.
+    pub scale: f64,
+    /// Σ weight · squared distance over all samples: m² · squared budgets.
+    deviation: f64,
+    /// Of all faces at the start, m².
+    area_m2: f64,
+    held: Vec<(Candidate, f32)>,
+    held_at: f64,
+    log: Vec<Collapse>,
+    folded: Vec<(u32, u32)>,
+    deviations: Vec<[f32; MOST_CLASSES]>,
+    /// Collapses so far.
+    count: u32,
+}
+
+/// What became of a candidate.
+enum Verdict {
+    /// Nothing, or collapsed.
+    Done,
+    /// Its samples refuse it at this scale.
+    TooFar,
+    /// The limit would pass the last scale.
+    End,
+}
+
+impl<'a> Run<'a> {
+    pub fn new(mut block: Block<'a>) -> Self {
+        let tracked = block.rules.limit != Limit::Untracked;
+        let scale = match block.rules.limit {
+            Limit::Untracked => f64::INFINITY,
+            Limit::Scale(t) => t,
+            Limit::Growing { first, .. } => first,
+        };
+        let (arena, spans) = Arena::of(block.positions.len(), &block.faces);
+        let flags = std::mem::take(&mut block.flags);
+        let vertices = std::mem::take(&mut block.positions).into_iter().zip(flags).zip(spans);
+        let vertex =
+            |((at, flags), star)| Vertex { at, form: SmallForm::default(), star, mark: Mark::default(), flags };
+        let vertices: Vec<Vertex> = vertices.map(vertex).collect();
+        let omega = std::mem::take(&mut block.omega);
+        let mut area_m2 = 0.0;
+        let face = |(corners, f): ([u32; 3], usize)| {
+            let omega = omega.get(f).copied().unwrap_or(1.0);
+            let facet = Facet::of(corners.map(|v| vertices[v as usize].at));
+            area_m2 += f64::from(facet.area);
+            Face { corners, normal: facet.normal, weight: facet.area * omega, omega }
+        };
+        let faces: Vec<Face> = std::mem::take(&mut block.faces).into_iter().zip(0..).map(face).collect();
+        let riders: Vec<Rider> = std::mem::take(&mut block.samples).into_iter().map(Rider::of).collect();
+        let deviation = riders.iter().map(|s| f64::from(s.weight) * f64::from(s.squared_m2)).sum();
+        let mut run = Self {
+            deviation,
+            quadrics: Vec::new(),
+            version: vec![0; vertices.len()],
+            arena,
+            rider_head: vec![NONE; if tracked { faces.len() } else { 0 }],
+            riders,
+            queue: Queue::new(),
+            stamp: 0,
+            near: Vec::new(),
+            near_u: 0,
+            star: Vec::new(),
+            pairs: Vec::new(),
+            moved: Vec::new(),
+            ring: Vec::new(),
+            living: faces.len(),
+            scale,
+            area_m2,
+            held: Vec::new(),
+            held_at: scale,
+            log: Vec::new(),
+            folded: Vec::new(),
+            deviations: Vec::new(),
+            count: 0,
+            vertices,
+            faces,
+            block,
+        };
+        for (s, rider) in run.riders.iter_mut().enumerate().rev() {
+            rider.next = std::mem::replace(&mut run.rider_head[rider.face as usize], s as u32);
+        }
+        run.sum_planes();
+        run
+    }
+
+    /// See [`Block::collapse`].
+    pub fn collapse(mut self) -> Collapsed<'a> {
+        self.rank_all();
+        if self.block.rules.gap_reach_m > 0.0 {
+            self.rank_gaps();
+        }
+        let mut batch = Vec::with_capacity(BATCH);
+        'all: while self.living > self.block.rules.stop_faces {
+            let Some(filed) = self.queue.pop(BATCH, &mut batch) else { if self.widen() { continue } else { break } };
+            self.fetch(&mut batch);
+            while let Some(candidate) = batch.pop() {
+                match self.consider(candidate, filed) {
+                    Verdict::Done => {}
+                    Verdict::TooFar => self.held.push((candidate, filed)),
+                    Verdict::End => break 'all,
+                }
+                if self.living <= self.block.rules.stop_faces {
+                    break 'all;
+                }
+                // What is new comes first.
+                if self.queue.has_below(filed) {
+                    batch.drain(..).for_each(|candidate| self.queue.push(candidate, filed));
+                }
+            }
+        }
+        let Self { mut block, vertices, faces, riders, log, folded, deviations, scale, queue, arena, version, .. } =
+            self;
+        drop((queue, arena, version));
+        block.samples = riders.into_iter().map(Rider::sample).collect();
+        block.faces = faces.iter().map(|f| f.corners).collect();
+        drop(faces);
+        block.flags = vertices.iter().map(|v| v.flags).collect();
+        block.positions = vertices.iter().map(|v| v.at).collect();
+        Collapsed { block, log, folded, deviations, scale }
+    }
+
+    /// Every vertex's planes.
+    fn sum_planes(&mut self) {
+        match self.block.rules.energy {
+            Energy::Volume => {}
+            Energy::Memoryless => {
+                for f in 0..self.faces.len() {
+                    let Face { corners, .. } = self.faces[f];
+                    let form = self.faces[f].form();
+                    corners.iter().for_each(|&v| self.add_form(v, form));
+                }
+                (0..self.vertices.len() as u32).for_each(|v| self.add_border(v));
+            }
+            Energy::Accumulated | Energy::Paper => self.sum_quadrics(),
+        }
+    }
+
+    fn sum_quadrics(&mut self) {
+        self.quadrics = vec![Quadric::default(); self.vertices.len()];
+        for face in &self.faces {
+            let n = face.normal.as_dvec3();
+            let at = self.vertices[face.corners[0] as usize].at;
+            let quadric = Quadric::of_plane(n, -n.dot(at), f64::from(face.weight));
+            face.corners.iter().for_each(|&v| self.quadrics[v as usize] += quadric);
+        }
+        for v in 0..self.vertices.len() as u32 {
+            let mut sum = self.quadrics[v as usize];
+            let at = self.vertices[v as usize].at;
+            self.borders_of(v, |n, weight| sum += Quadric::of_plane(n, -n.dot(at), weight));
+            self.quadrics[v as usize] = sum;
+        }
+    }
+
+    pub(super) fn at(&self, v: u32) -> DVec3 {
+        self.vertices[v as usize].at
+    }
+
+    pub(super) fn corners(&self, f: u32) -> [DVec3; 3] {
+        self.faces[f as usize].corners.map(|v| self.at(v))
+    }
+
+    pub(super) fn group_of(&self, f: u32) -> u32 {
+        self.block.group.get(f as usize).copied().unwrap_or(0)
+    }
+
+    /// The faces of `v`; none once it has merged into another vertex.
+    pub(super) fn star_of(&self, v: u32) -> &[u32] {
+        self.arena.faces(self.vertices[v as usize].star)
+    }
+
+    fn add_form(&mut self, v: u32, form: Form) {
+        let sum = &mut self.vertices[v as usize].form;
+        let mut f = sum.form();
+        f += form;
+        *sum = SmallForm::of(&f);
+    }
+
+    fn take_form(&mut self, v: u32, form: Form) {
+        let sum = &mut self.vertices[v as usize].form;
+        let mut f = sum.form();
+        f -= form;
+        *sum = SmallForm::of(&f);
+    }
+
+    pub(super) fn shared_faces(&self, v: u32, w: u32) -> usize {
+        self.star_of(v).iter().filter(|&&f| self.faces[f as usize].corners.contains(&w)).count()
+    }
+
+    fn rank_all(&mut self) {
+        let mut around: Vec<u32> = Vec::new();
+        // Backwards: of equal energies the queue hands out the last one first.
+        for v in (0..self.vertices.len() as u32).rev() {
+            around.clear();
+            for &f in self.star_of(v) {
+                around.extend(self.faces[f as usize].corners.iter().filter(|&&w| w > v));
+            }
+            around.sort_unstable();
+            around.dedup();
+            for &w in around.iter().rev() {
+                self.rank(v, w);
+            }
+        }
+    }
+
+    pub(super) fn rank(&mut self, u: u32, v: u32) {
+        if let Some(energy) = self.estimate(u, v) {
+            let stamp = self.version[u as usize] + self.version[v as usize];
+            self.queue.push(Candidate { u, v, stamp }, energy);
+        }
+    }
+
+    /// Drops candidates that are out of date, and reads what the others will need: of several at once, so that the waits
+    /// for memory overlap.
+    fn fetch(&self, batch: &mut Vec<Candidate>) {
+        batch.retain(|c| self.version[c.u as usize] + self.version[c.v as usize] == c.stamp);
+        let mut spans = [Span::default(); 2 * BATCH];
+        let ends = batch.iter().flat_map(|c| [c.u, c.v]);
+        spans.iter_mut().zip(ends).for_each(|(span, v)| *span = self.vertices[v as usize].star);
+        let spans = &spans[..2 * batch.len()];
+        let mut read = 0;
+        for &span in spans {
+            for &f in self.arena.faces(span) {
+                read ^= self.faces[f as usize].corners[0];
+                read ^= self.rider_head.get(f as usize).copied().unwrap_or(0);
+            }
+        }
+        for &span in spans {
+            for &f in self.arena.faces(span) {
+                for w in self.faces[f as usize].corners {
+                    read ^= u32::from(self.vertices[w as usize].flags);
+                }
+                let first = self.rider_head.get(f as usize).copied().unwrap_or(NONE);
+                read ^= self.riders.get(first as usize).map_or(0, |rider| rider.next);
+            }
+        }
+        std::hint::black_box(read);
+    }
+
+    fn consider(&mut self, candidate: Candidate, filed: f32) -> Verdict {
+        let Candidate { u, v, stamp } = candidate;
+        if self.version[u as usize] + self.version[v as usize] != stamp {
+            return Verdict::Done;
+        }
+        self.gather(u, v);
+        let Some((p, mut energy)) = self.place(u, v) else { return Verdict::Done };
+        let stale = |energy: f32| energy > filed * STALE_FACTOR && energy > f32::MIN_POSITIVE;
+        if stale(energy) {
+            self.queue.push(candidate, energy);
+            return Verdict::Done;
+        }
+        if !self.link_allows(u, v) || !self.faces_allow(u, v, p) {
+            return Verdict::Done;
+        }
+        let mut share = 0.0;
+        if self.block.rules.limit != Limit::Untracked {
+            let Some(moved) = self.samples_allow().filter(|_| self.growing() || self.spans_allow()) else {
+                return Verdict::TooFar;
+            };
+            share = moved.share;
+            energy = energy.max(moved.change as f32);
+            if stale(energy) && self.block.rules.energy == Energy::Memoryless {
+                self.queue.push(candidate, energy);
+                return Verdict::Done;
+            }
+            if !self.grow(moved.change) {
+                return Verdict::End;
+            }
+        } else {
+            energy += self.folded_energy();
+            if stale(energy) {
+                self.queue.push(candidate, energy);
+                return Verdict::Done;
+            }
+        }
+        self.perform(u, v, p, energy, share);
+        Verdict::Done
+    }
+
+    /// Fills `near`: all that is read at random here is read at once, so that the waits overlap.
+    fn gather(&mut self, u: u32, v: u32) {
+        let Self { near, arena, vertices, faces, .. } = self;
+        let [of_u, of_v] = [u, v].map(|v| arena.faces(vertices[v as usize].star));
+        near.clear();
+        near.extend(of_u.iter().map(|&f| (f, faces[f as usize])));
+        self.near_u = near.len();
+        near.extend(of_v.iter().map(|&f| (f, faces[f as usize])));
+    }
+
+    fn growing(&self) -> bool {
+        matches!(self.block.rules.limit, Limit::Growing { .. })
+    }
+
+    /// Takes a change of Σ weight · squared distance into account; false when the limit would pass the last scale.
+    fn grow(&mut self, change: f64) -> bool {
+        let Limit::Growing { last, .. } = self.block.rules.limit else { return true };
+        let total = self.deviation + change;
+        let rms = (total.max(0.0) / self.area_m2.max(f64::MIN_POSITIVE)).sqrt();
+        let scale = self.scale.max(super::SPREAD * rms);
+        if scale > last {
+            return false;
+        }
+        self.deviation = total;
+        self.scale = scale;
+        if scale > RETRY_FACTOR * self.held_at {
+            self.release();
+        }
+        true
+    }
+
+    /// When nothing is left: a larger limit, if the rules have one and something waits for it.
+    fn widen(&mut self) -> bool {
+        let Limit::Growing { last, .. } = self.block.rules.limit else { return false };
+        let scale = self.scale * RETRY_FACTOR;
+        if self.held.is_empty() || scale > last {
+            return false;
+        }
+        self.scale = scale;
+        self.release();
+        true
+    }
+
+    fn release(&mut self) {
+        self.held_at = self.scale;
+        for (candidate, filed) in std::mem::take(&mut self.held) {
+            self.queue.push(candidate, filed);
+        }
+    }
+
+    fn perform(&mut self, u: u32, v: u32, p: DVec3, energy: f32, share: f32) {
+        let star = std::mem::take(&mut self.star);
+        let ring = std::mem::take(&mut self.ring);
+        let memoryless = self.block.rules.energy == Energy::Memoryless;
+        let borders = memoryless && ring.iter().chain([&u, &v]).any(|&w| self.vertices[w as usize].flags & BORDER != 0);
+        // Where faces fold, edges outside the star may open, too.
+        let folds = !self.pairs.is_empty();
+        match (borders, folds) {
+            (true, true) => ring.iter().for_each(|&w| self.take_border(w)),
+            (true, false) => self.take_star_borders(&star, u, v),
+            _ => {}
+        }
+        for corner in &star {
+            let form = if memoryless { self.faces[corner.face as usize].form() } else { Form::default() };
+            for w in corner.ids.into_iter().filter(|&w| w != u && w != v) {
+                if memoryless {
+                    self.take_form(w, form);
+                }
+                if corner.dies {
+                    self.arena.remove(&mut self.vertices[w as usize].star, corner.face);
+                }
+            }
+        }
+        self.note_folds(&star, u, v);
+        self.record(u, v, p, energy, share);
+        self.vertices[u as usize].at = p;
+        self.vertices[u as usize].flags |= self.vertices[v as usize].flags;
+        let mut sum = Form::default();
+        for corner in &star {
+            let face = &mut self.faces[corner.face as usize];
+            if corner.dies {
+                face.corners = [NONE; 3];
+                self.living -= 1;
+                continue;
+            }
+            face.lie(&corner.facet);
+            face.corners = corner.ids.map(|w| if w == v { u } else { w });
+            if memoryless {
+                let form = face.form();
+                sum += form;
+                for w in corner.ids.into_iter().filter(|&w| w != u && w != v) {
+                    self.add_form(w, form);
+                }
+            }
+        }
+        self.vertices[u as usize].star = self.arena.list(star.iter().filter(|c| !c.dies).map(|c| c.face));
+        self.vertices[v as usize].star = Span::default();
+        self.move_samples(&star);
+        self.version[u as usize] += self.version[v as usize] + 1;
+        self.version[v as usize] = GONE;
+        if memoryless {
+            self.vertices[u as usize].form = SmallForm::of(&sum);
+        } else if !self.quadrics.is_empty() {
+            let other = self.quadrics[v as usize];
+            self.quadrics[u as usize] += other;
+        }
+        match (borders || memoryless && folds, folds) {
+            (true, true) => ring.iter().chain([&u]).for_each(|&w| self.add_border(w)),
+            (true, false) => self.add_star_borders(&star, u, v),
+            _ => {}
+        }
+        self.star = star;
+        for &w in &ring {
+            if self.vertices[w as usize].star.len() > 0 {
+                self.rank(u, w);
+            } else {
+                self.version[w as usize] = GONE;
+            }
+        }
+        self.ring = ring;
+    }
+
+    /// Takes the border planes of the star's edges out of the forms of the ring; forms of `u` and `v` are made anew.
+    fn take_star_borders(&mut self, star: &[Corner], u: u32, v: u32) {
+        for corner in star {
+            for k in 0..3 {
+                let (a, b) = (corner.ids[k], corner.ids[(k + 1) % 3]);
+                let ends = |w: u32| (a == w) ^ (b == w);
+                let other = if a == u || a == v { b } else { a };
+                let mark = self.vertices[other as usize].mark;
+                let is_open = match (ends(u), ends(v)) {
+                    (true, true) => false,
+                    (true, false) => mark.of_u == 1,
+                    (false, true) => mark.of_v == 1,
+                    (false, false) => self.is_border(a, b),
+                };
+                if is_open {
+                    let (n, weight) = self.border_plane(a, b, corner.face);
+                    let form = Form::of_plane(n, weight);
+                    [a, b].into_iter().filter(|&w| w != u && w != v).for_each(|w| self.take_form(w, form));
+                }
+            }
+        }
+    }
+
+    /// Adds the border planes of the new star's edges to the forms of the ring and of `u`.
+    fn add_star_borders(&mut self, star: &[Corner], u: u32, v: u32) {
+        let living = || star.iter().filter(|c| !c.dies);
+        for corner in living() {
+            for w in corner.ids {
+                self.vertices[w as usize].mark.of_u = 0;
+            }
+        }
+        for corner in living() {
+            for w in corner.ids {
+                let mark = &mut self.vertices[w as usize].mark;
+                mark.of_u = mark.of_u.saturating_add(1);
+            }
+        }
+        for corner in living() {
+            let ids = corner.ids.map(|w| if w == v { u } else { w });
+            for k in 0..3 {
+                let (a, b) = (ids[k], ids[(k + 1) % 3]);
+                let is_open = match (a == u, b == u) {
+                    (true, _) => self.vertices[b as usize].mark.of_u == 1,
+                    (_, true) => self.vertices[a as usize].mark.of_u == 1,
+                    _ => self.is_border(a, b),
+                };
+                if is_open {
+                    let (n, weight) = self.border_plane(a, b, corner.face);
+                    let form = Form::of_plane(n, weight);
+                    [a, b].into_iter().for_each(|w| self.add_form(w, form));
+                }
+            }
+        }
+    }
+
+    /// True for an edge that one face has.
+    fn is_border(&self, a: u32, b: u32) -> bool {
+        let flags = self.vertices[a as usize].flags & self.vertices[b as usize].flags;
+        flags & BORDER != 0 && self.shared_faces(a, b) == 1
+    }
+
+    /// Lists the folded faces, and marks their vertices: they may be on an open border now.
+    fn note_folds(&mut self, star: &[Corner], u: u32, v: u32) {
+        if self.pairs.is_empty() {
+            return;
+        }
+        let event = self.count;
+        for corner in star.iter().filter(|c| c.dies) {
+            let face = corner.ids;
+            if !(face.contains(&u) && face.contains(&v)) {
+                self.folded.push((event, corner.face));
+            }
+            face.iter().for_each(|&w| self.vertices[w as usize].flags |= BORDER);
+        }
+    }
+
+    /// Takes the border planes out of the form of `w`, before anything changes.
+    fn take_border(&mut self, w: u32) {
+        let mut form = self.vertices[w as usize].form.form();
+        self.borders_of(w, |n, weight| form -= Form::of_plane(n, weight));
+        self.vertices[w as usize].form = SmallForm::of(&form);
+    }
+
+    /// Adds the border planes of `w` as they are now.
+    fn add_border(&mut self, w: u32) {
+        let mut form = self.vertices[w as usize].form.form();
+        self.borders_of(w, |n, weight| form += Form::of_plane(n, weight));
+        self.vertices[w as usize].form = SmallForm::of(&form);
+    }
+
+    fn record(&mut self, u: u32, v: u32, position: DVec3, energy: f32, share: f32) {
+        let id = |v: u32| self.block.vertex_ids.get(v as usize).copied().unwrap_or(v);
+        let (kept, gone) = (id(u), id(v));
+        let position = self.block.origin + position;
+        self.count += 1;
+        if self.block.rules.recorded || matches!(self.block.rules.limit, Limit::Scale(_)) {
+            self.log.push(Collapse { kept, gone, position, energy, share });
+        }
+        if self.block.rules.recorded {
+            let mut squared = [0f64; MOST_CLASSES];
+            for step in &self.moved {
+                let classes = self.riders[step.rider as usize].classes;
+                for (_, most) in squared.iter_mut().enumerate().filter(|(c, _)| classes >> c & 1 != 0) {
+                    *most = most.max(step.squared_m2);
+                }
+            }
+            self.deviations.push(squared.map(|s| s.sqrt() as f32));
+        }
+    }
+}

@@ -120,6 +120,7 @@ proptest! {
         for splits in 0..=all.len() {
             check_surface(&all.at(splits));
         }
+        prop_assert!(!half || all.kept_at == all.coarse_at, "a half-edge's record has one place an event");
         for share in [0.9, 0.6, 0.3, 0.15] {
             let faces = ((mesh.faces.len() as f64 * share) as usize).max(8);
             let straight = cut(&mesh, &classes, method(half), faces, false);

@@ -185,6 +185,7 @@ impl Reader {
             out.deviation.push(split.deviation);
             out.energy.push(self.energy);
             out.faces_after.push(self.live.faces.len() as u32);
+            out.rims.extend(self.star.rims.iter().map(|r| r.vertex));
             let others = split.wings.iter().map(|w| w.apex).chain(split.folds.iter().flat_map(|f| [f.a, f.b]));
             out.rims.extend(others.filter(|v| self.star.rims.iter().all(|r| r.vertex != *v)));
             out.rims_end.push(out.rims.len());

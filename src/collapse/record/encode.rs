@@ -58,6 +58,9 @@ struct History {
     /// Where `kept` was before event i.
     before: Vec<Grid>,
     gone: Vec<bool>,
+    /// Per event, the vertex that stays where it is if one does, and the one that goes: an event that takes its vertex
+    /// to the place of the other is told the other way round, so that one place is coded and not two.
+    ends: Vec<[u32; 2]>,
 }
 
 impl History {
@@ -75,7 +78,10 @@ impl History {
             points: Vec::with_capacity(vertices),
             before: Vec::with_capacity(sequence.log.events.len()),
             gone: vec![false; vertices],
+            ends: Vec::with_capacity(sequence.log.events.len()),
         };
+        // What each vertex of the sequence is called here.
+        let mut name: Vec<u32> = (0..vertices as u32).collect();
         for p in &sequence.positions {
             history.points.push(on_grid(p.to_array(), sequence.grid_m)?);
         }
@@ -94,20 +100,27 @@ impl History {
             }
         }
         for (i, event) in sequence.log.events.iter().enumerate() {
-            let (kept, gone) = (event.kept as usize, event.gone as usize);
+            let [mut kept, mut gone] =
+                [event.kept, event.gone].map(|v| name.get(v as usize).copied().unwrap_or(NONE) as usize);
             if kept == gone || kept.max(gone) >= vertices || history.gone[kept] || history.gone[gone] {
                 return Err(Error::Bug(format!("event {i} of a sequence merges vertex {gone} into {kept}")));
             }
+            let to = on_grid(event.position.to_array(), sequence.grid_m)?;
+            if to == history.points[gone] && to != history.points[kept] {
+                name[event.kept as usize] = gone as u32;
+                (kept, gone) = (gone, kept);
+            }
+            history.ends.push([kept as u32, gone as u32]);
             history.fold(sequence, i)?;
             let mut corner = std::mem::replace(&mut head[gone], NONE);
             while corner != NONE {
                 let (f, k) = (corner as usize / 3, corner as usize % 3);
                 let following = next[corner as usize];
-                if history.alive[f] && history.faces[f].contains(&event.kept) {
+                if history.alive[f] && history.faces[f].contains(&(kept as u32)) {
                     history.alive[f] = false;
                     history.died.push(f as u32);
                 } else if history.alive[f] {
-                    history.faces[f][k] = event.kept;
+                    history.faces[f][k] = kept as u32;
                     history.left.push(f as u32);
                     next[corner as usize] = head[kept];
                     head[kept] = corner;
@@ -118,7 +131,7 @@ impl History {
             history.left_start.push(history.left.len() as u32);
             history.gone[gone] = true;
             history.before.push(history.points[kept]);
-            history.points[kept] = on_grid(event.position.to_array(), sequence.grid_m)?;
+            history.points[kept] = to;
         }
         Ok(history)
     }
@@ -131,8 +144,8 @@ impl History {
             let Some(face) = face else {
                 return Err(Error::Bug(format!("event {i} of a sequence folds face {f}, which is not there")));
             };
-            let event = &sequence.log.events[i];
-            match (face.contains(&event.kept), face.contains(&event.gone)) {
+            let [kept, gone] = self.ends[i];
+            match (face.contains(&kept), face.contains(&gone)) {
                 // It dies in any case.
                 (true, true) => continue,
                 (false, false) => {
@@ -197,8 +210,7 @@ impl Marks {
             .map(|i| {
                 most = most.max(energy[i]);
                 let worst = running[i].iter().max().copied().unwrap_or(0);
-                // Energies grow at least with the square of the error.
-                if tracked { i16::from(worst) / 4 } else { most.div_euclid(4) }
+                if tracked { i16::from(worst) / 4 } else { most }
             })
             .collect();
         Self { own, running, energy, octave }
@@ -217,13 +229,12 @@ impl Marks {
     }
 }
 
-/// Twice the binary logarithm, rounded up.
+/// Half the binary logarithm, rounded up: doublings of an error.
 fn energy_level(energy: f32) -> i16 {
-    if energy > 0.0 { (2.0 * f64::from(energy).log2()).ceil().clamp(-300.0, 300.0) as i16 } else { -301 }
+    if energy > 0.0 { (0.5 * f64::from(energy).log2()).ceil().clamp(-100.0, 100.0) as i16 } else { -101 }
 }
 
 struct Writer<'a> {
-    sequence: &'a Sequence,
     history: &'a History,
     classes: &'a [u8],
     models: Models,
@@ -239,12 +250,11 @@ struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    fn new(sequence: &'a Sequence, history: &'a History, classes: &'a [u8], about: &About) -> Result<Self> {
+    fn new(sequence: &Sequence, history: &'a History, classes: &'a [u8], about: &About) -> Result<Self> {
         if classes.len() != sequence.faces.len() || classes.iter().any(|c| usize::from(*c) >= about.scheme.len()) {
             return Err(Error::Bug("the faces of a sequence need a class of its scheme each".into()));
         }
         Ok(Self {
-            sequence,
             history,
             classes,
             models: Models::new(about.tracked_classes(), sequence.grid_m),
@@ -311,8 +321,8 @@ impl<'a> Writer<'a> {
 
     fn split(&mut self, coder: &mut Encoder, i: usize, marks: &Marks) -> Result<()> {
         let history = self.history;
-        let event = &self.sequence.log.events[i];
-        let kept = self.number[event.kept as usize];
+        let [old, gone] = history.ends[i];
+        let kept = self.number[old as usize];
         self.models.code_kept(coder, &self.live, kept);
         self.live.star(kept, &mut self.star);
         for &f in history.left(i) {
@@ -321,16 +331,16 @@ impl<'a> Writer<'a> {
         let leaves = |corner: u32| self.stamp[self.source_face[corner as usize / 3] as usize] == i as u32 + 1;
         let wing = |f: &u32| {
             let face = history.faces[*f as usize];
-            let k = face.iter().position(|&v| v == event.kept).unwrap_or(0);
-            let turned = face[(k + 1) % 3] != event.gone;
+            let k = face.iter().position(|&v| v == old).unwrap_or(0);
+            let turned = face[(k + 1) % 3] != gone;
             let apex = if turned { face[(k + 1) % 3] } else { face[(k + 2) % 3] };
             let apex = self.number[apex as usize];
             Wing { apex, turned, class: self.classes[*f as usize], tag: *f }
         };
         let fold = |f: &u32| {
             let face = history.faces[*f as usize];
-            let of_new = face.contains(&event.gone);
-            let owner = if of_new { event.gone } else { event.kept };
+            let of_new = face.contains(&gone);
+            let owner = if of_new { gone } else { old };
             let k = face.iter().position(|&v| v == owner).unwrap_or(0);
             let [a, b] = [face[(k + 1) % 3], face[(k + 2) % 3]].map(|v| self.number[v as usize]);
             Fold { of_new, a, b, class: self.classes[*f as usize], tag: *f }
@@ -341,14 +351,14 @@ impl<'a> Writer<'a> {
             leaves: self.star.spokes.iter().map(|s| leaves(s.corner)).collect(),
             wings: history.died(i).iter().map(wing).collect(),
             kept_at: history.before[i],
-            gone_at: history.points[event.gone as usize],
+            gone_at: history.points[gone as usize],
             deviation: marks.own[i],
         };
         self.energy = self.models.code_energy(coder, self.energy, marks.energy[i]);
         let coded = self.models.code(coder, &self.live, &mut self.star, &mut split, usize::MAX);
         coded.map_err(|what| Error::Bug(format!("event {i} has {what}")))?;
         self.live.split(&self.star, &split);
-        self.number[event.gone as usize] = self.live.points.len() as u32 - 1;
+        self.number[gone as usize] = self.live.points.len() as u32 - 1;
         self.source_face.extend(split.wings.iter().map(|w| w.tag).chain(split.folds.iter().map(|f| f.tag)));
         Ok(())
     }

@@ -64,4 +64,6 @@ pub(crate) use super::NONE;
 pub const MAX_CLASSES: usize = super::MOST_CLASSES;
 
 #[cfg(test)]
+mod engine_tests;
+#[cfg(test)]
 mod tests;

@@ -30,7 +30,7 @@ pub struct Progressive {
     pub gone_at: Vec<DVec3>,
     /// Per split: levels of the largest deviation per class that its collapse caused.
     pub deviation: Vec<[u8; MAX_CLASSES]>,
-    /// Per split: twice the binary logarithm of the energy, rounded up.
+    /// Per split: half the binary logarithm of the energy, rounded up.
     pub energy: Vec<i16>,
     /// Per split: faces after it.
     pub faces_after: Vec<u32>,
@@ -38,7 +38,7 @@ pub struct Progressive {
     pub faces: Vec<[u32; 3]>,
     /// Per face: class.
     pub classes: Vec<u8>,
-    /// Neighbours of the vertex that splits; of split i from `rims_end[i - 1]` (or 0) to `rims_end[i]`.
+    /// Neighbours of the two vertices after the split, but for each other; of split i from `rims_end[i - 1]` (or 0) to `rims_end[i]`.
     pub rims: Vec<u32>,
     /// See `rims`.
     pub rims_end: Vec<usize>,
@@ -111,14 +111,11 @@ impl Progressive {
     }
 
     /// Collapses, finest first, every edge whose collapse kept each class within its budget, metres, and whose
-    /// surroundings are just as they were when it was recorded.
+    /// surroundings are just as they were when it was recorded: the distances of its samples are then those recorded.
     ///
-    /// A collapse left out marks its vertices and those of the faces that it would have taken away; one that touches a
-    /// marked vertex is left out too, because its deviation was measured on another surface.
-    ///
-    /// # Limits
-    /// Not a bound yet: on one real mesh 4 of 132 000 source vertices were up to 20 % further off than the budgets, on
-    /// hills 1 of 330 by 21 %. Cuts by faces, scale, error or bytes, which are prefixes, keep their bounds.
+    /// A collapse left out marks its vertices and those of the faces that it would have taken away; one with a marked
+    /// vertex in its star is left out too. So no source vertex is further off than the strictest budget of the classes
+    /// around it (`a_choice_by_budgets_keeps_every_source_vertex_within_them`), and the result is as regular as a prefix.
     pub fn within(&self, budgets_m: &[f64; MAX_CLASSES]) -> Replayed {
         let fits = |levels: &[u8; MAX_CLASSES]| levels.iter().zip(budgets_m).all(|(l, b)| size_of(*l) <= *b);
         let base = self.base_points.len();

@@ -62,6 +62,9 @@ pub struct Models {
     step_m: f64,
 }
 
+/// The new vertex lies this share of the way from the middle of its neighbours to the one it splits off (0.2 to 0.4: the
+/// same within 0.3 %; 0: 1.5 % more bytes).
+const PULL: f64 = 0.3;
 /// Contexts of one kind of size: a power of two each.
 const SIZES: usize = 64;
 
@@ -254,7 +257,7 @@ impl Models {
         };
         let normal = normal_of(live, star, &split.leaves, coarse);
         let around = Around::of(live, ring(true).map(|r| r.vertex), coarse, normal);
-        split.gone_at = self.code_point(coder, &around, around.middle, split.gone_at, 0)?;
+        split.gone_at = self.code_point(coder, &around, around.middle.lerp(vec(coarse), PULL), split.gone_at, 0)?;
         split.kept_at = if coder.bit(&mut self.moved[usize::from(self.was_moved)], split.kept_at != coarse) {
             self.was_moved = true;
             let around = Around::of(live, ring(false).map(|r| r.vertex), split.gone_at, normal);
@@ -279,17 +282,17 @@ impl Models {
     ) -> Result<Grid, &'static str> {
         let [u, v, w] = around.axes;
         let mut out = [0i64; 3];
-        let code = |model: &mut Number, coder: &mut _, guess: f64, value: i64| {
+        let code = |model: &mut Number, coder: &mut _, guess: f64, value: i64, side: usize| {
             let guess = guess.round_ties_even() as i64;
-            guess.saturating_add(model.code(coder, value.saturating_sub(guess), 0))
+            guess.saturating_add(model.code(coder, value.saturating_sub(guess), side))
         };
-        out[u] = code(&mut self.along[kind * SIZES + around.reach], coder, guess[u], point[u]);
+        out[u] = code(&mut self.along[kind * SIZES + around.reach], coder, guess[u], point[u], around.side[u]);
         let du = out[u] as f64 - guess[u];
         let second = kind + 1 + usize::from(size_class(du) >= around.reach);
-        out[v] = code(&mut self.along[second * SIZES + around.reach], coder, guess[v], point[v]);
+        out[v] = code(&mut self.along[second * SIZES + around.reach], coder, guess[v], point[v], around.side[v]);
         let dv = out[v] as f64 - guess[v];
         let on_plane = guess[w] - around.slope[0] * du - around.slope[1] * dv;
-        out[w] = code(&mut self.off[(kind / 3) * SIZES + around.rough], coder, on_plane, point[w]);
+        out[w] = code(&mut self.off[(kind / 3) * SIZES + around.rough], coder, on_plane, point[w], around.side[w]);
         if out.iter().any(|x| x.unsigned_abs() > MOST_COORDINATE as u64) {
             return Err("a coordinate out of range");
         }
@@ -364,6 +367,8 @@ fn normal_of(live: &Live, star: &Star, leaves: &[bool], at: Grid) -> DVec3 {
 struct Around {
     /// Their mean.
     middle: DVec3,
+    /// Per coordinate: which side of it the end of the edge is that is known, for signs.
+    side: [usize; 3],
     /// Size class of their distance from it.
     reach: usize,
     /// Size class of their distance from the plane through it.
@@ -397,6 +402,14 @@ impl Around {
             rough += (d[w] + slope[0] * d[axes[0]] + slope[1] * d[axes[1]]).abs();
         }
         // Twice the mean: half powers would cost more contexts than they are worth.
-        Self { middle, reach: size_class(2.0 * reach / count), rough: size_class(2.0 * rough / count), axes, slope }
+        let side = [0, 1, 2].map(|k| usize::from(and[k] as f64 > middle[k]));
+        Self {
+            middle,
+            side,
+            reach: size_class(2.0 * reach / count),
+            rough: size_class(2.0 * rough / count),
+            axes,
+            slope,
+        }
     }
 }

@@ -10,9 +10,9 @@
 //!    end it is overstated, unless the tile's texels need it
 //!
 //! # Promises
-//! Memory: one tile, its reference, and a few tiles that are kept. Where the finest tiles have more faces than
-//! [`DistanceConfig::most_reference_faces`], the tile is measured against the next finer tiles and their own intervals
-//! are added: wider, but still a proof (triangle inequality).
+//! Memory: one tile, a part of its reference ([`finer`](super::finer)), and a few tiles that are kept. Where the finest
+//! tiles have more faces than [`DistanceConfig::most_reference_faces`], which would take minutes, the tile is measured
+//! against the next finer tiles and their own intervals are added: wider, but still a proof (triangle inequality).
 //! A tile is called understated only on the distance of a point that was found; where part of the reference could not be
 //! read, only points of the rest count.
 //!
@@ -23,14 +23,14 @@ use glam::DVec3;
 use serde::Serialize;
 
 use super::cover::{ClassNames, Cover, Loader, Shown};
+use super::finer::{Finer, Known, PART_FACES};
 use super::read::Tileset;
 use super::source::Original;
 use super::structure::{SSE_PX, TileFigures};
 use crate::Result;
 use crate::geo::Aabb;
-use crate::geo::bvh::Bvh;
 use crate::ids::ClassId;
-use crate::measure::{Comparison, Interval, MeasureConfig, Reference, Surface};
+use crate::measure::{Comparison, Detail, Interval, MeasureConfig, Piecewise, Surface};
 use crate::report::Reporter;
 
 /// How closely to look, and from where on a stated error is wrong.
@@ -42,8 +42,10 @@ pub struct DistanceConfig {
     pub max_slack: f64,
     /// Stated errors may be this much below the certified lower end: rounding of coordinates, metres. Default: 0.001.
     pub rounding_m: f64,
-    /// Faces of a reference loaded at once. Default: 3 million, about 1.3 GB.
+    /// Faces of a reference. Default: 50 million, minutes for one tile.
     pub most_reference_faces: usize,
+    /// Faces of a reference loaded at once. Default: 400 000, about 150 MB.
+    pub part_faces: usize,
     /// Faces of a reference without classes that our classifier is asked about. Default: 1.5 million; 0 is never.
     pub most_classified_faces: usize,
     /// Points on either surface, for each face of the reference. Default: 2, but 20 000 to 500 000 in all.
@@ -56,7 +58,8 @@ impl Default for DistanceConfig {
             tolerance_m: None,
             max_slack: 4.0,
             rounding_m: 1e-3,
-            most_reference_faces: 3_000_000,
+            most_reference_faces: 50_000_000,
+            part_faces: PART_FACES,
             most_classified_faces: 1_500_000,
             samples_per_face: 2.0,
         }
@@ -188,6 +191,16 @@ pub struct TileDistance {
     pub why: Option<String>,
 }
 
+/// Looks on while tiles are measured: whatever is loaded is loaded once.
+pub trait Watch {
+    /// A tile is about to be compared with a reference around which lies the box.
+    fn begin(&mut self, shown: &Shown, reference: Aabb);
+    /// A part of its reference.
+    fn part(&mut self, part: &Shown);
+    /// It was measured; those without a reference never began.
+    fn end(&mut self, names: &ClassNames, one: &TileDistance, shown: &Shown);
+}
+
 /// Measures all tiles; those below come before those above.
 ///
 /// # Errors
@@ -198,7 +211,7 @@ pub fn measure(
     original: Option<&Original>,
     config: &DistanceConfig,
     reporter: &Reporter,
-    visit: &mut dyn FnMut(&mut Loader, &TileDistance, &Shown, &Shown),
+    watch: &mut dyn Watch,
 ) -> Result<Vec<TileDistance>> {
     let tileset = loader.tileset;
     let cover = Cover::of(tileset);
@@ -207,22 +220,33 @@ pub fn measure(
     let stage = reporter.stage("distance", order.len() as u64);
     let mut upper_m = vec![None; tileset.tiles.len()];
     let mut around = vec![Aabb::EMPTY; tileset.tiles.len()];
+    let mut known = vec![Known::NOTHING; tileset.tiles.len()];
     for tile in order {
         reporter.check()?;
         let mut at = Some(tile);
-        let own = loader.load(tile).aabb;
+        known[tile] = Known::of(&loader.load(tile));
         while let Some(id) = at.filter(|_| original.is_some()) {
-            around[id] = around[id].union(own);
+            around[id] = around[id].union(known[tile].aabb);
             at = tileset.tiles[id].parent;
         }
-        let job = Job { cover: &cover, figures, original, config, upper_m: &upper_m, around: around[tile] };
-        let (mut one, shown, reference) = job.measure(loader, tile);
+        let job = Job {
+            cover: &cover,
+            figures,
+            known: &known,
+            original,
+            config,
+            upper_m: &upper_m,
+            around: around[tile],
+            reporter,
+        };
+        let mut one = job.measure(loader, tile, watch)?;
         judge(tileset, &mut one, figures.get(tile), config);
         upper_m[tile] = match one.verdict {
             Verdict::Finest => Some(0.0),
             _ => one.hausdorff.filter(|_| !one.is_incomplete).map(|h| h.upper_m),
         };
-        visit(loader, &one, &shown, &reference);
+        let shown = loader.load(tile);
+        watch.end(&loader.names, &one, &shown);
         found.push(one);
         stage.step(1);
     }
@@ -250,16 +274,18 @@ fn bottom_up(tileset: &Tileset) -> Vec<usize> {
 struct Job<'a> {
     cover: &'a Cover,
     figures: &'a [TileFigures],
+    known: &'a [Known],
     original: Option<&'a Original>,
     config: &'a DistanceConfig,
     /// Of tiles measured so far the certified upper end, metres.
     upper_m: &'a [Option<f64>],
     /// Around the tile and all below.
     around: Aabb,
+    reporter: &'a Reporter,
 }
 
 impl Job<'_> {
-    fn measure(&self, loader: &mut Loader, tile: usize) -> (TileDistance, Shown, Shown) {
+    fn measure(&self, loader: &mut Loader, tile: usize, watch: &mut dyn Watch) -> Result<TileDistance> {
         let tileset = loader.tileset;
         let of = &tileset.tiles[tile];
         let mut one = TileDistance {
@@ -285,24 +311,23 @@ impl Job<'_> {
         if shown.surface.faces.is_empty() {
             let why = shown.refused.map_or("it has no triangles".into(), |code| format!("it cannot be read: {code}"));
             one.why = Some(why);
-            return (one, Shown::default(), Shown::default());
+            return Ok(one);
         }
-        let Some((mut reference, added_m)) = self.reference(loader, tile, &mut one) else {
-            return (one, (*shown).clone(), Shown::default());
-        };
-        one.is_incomplete = reference.refused.is_some();
-        one.reference_triangles = reference.surface.faces.len();
-        if reference.surface.faces.is_empty() {
+        let Some((finer, added_m)) = self.reference(loader, tile, &mut one) else { return Ok(one) };
+        one.is_incomplete = finer.all().is_refused;
+        one.reference_triangles = finer.all().faces;
+        if finer.all().faces == 0 {
             one.why = Some("nothing of what it stands for can be read".into());
-            return (one, (*shown).clone(), reference);
+            return Ok(one);
         }
-        one.is_guessed_class = loader.classify(&mut reference, self.config.most_classified_faces);
-        self.compare(loader, &shown, &reference, added_m, &mut one);
-        (one, (*shown).clone(), reference)
+        watch.begin(&shown, finer.all().aabb);
+        self.compare(loader, &shown, &finer, added_m, &mut one, watch)?;
+        Ok(one)
     }
 
     /// What the tile is compared with, and what that itself may be wrong by. `None` for the finest tiles.
-    fn reference(&self, loader: &mut Loader, tile: usize, one: &mut TileDistance) -> Option<(Shown, f64)> {
+    fn reference(&self, loader: &Loader, tile: usize, one: &mut TileDistance) -> Option<(Finer<'_>, f64)> {
+        let part_faces = self.config.part_faces;
         let tileset = loader.tileset;
         let finest = self.cover.finest(tileset, tile);
         let faces = |tiles: &[usize]| {
@@ -311,7 +336,7 @@ impl Job<'_> {
         let fits = |tiles: &[usize]| faces(tiles) <= self.config.most_reference_faces;
         if let Some(original) = self.original {
             one.against = Against::Original;
-            return Some((original.part(self.around), 0.0));
+            return Some((Finer::original(original, self.around, part_faces), 0.0));
         }
         if !self.cover.has_finer(tile) {
             one.verdict = Verdict::Finest;
@@ -319,14 +344,14 @@ impl Job<'_> {
         }
         if fits(&finest) {
             one.against = Against::FinestTiles;
-            return Some((loader.union(&finest), 0.0));
+            return Some((Finer::tiles(&finest, self.known, part_faces), 0.0));
         }
         let next = self.cover.next(tileset, tile);
         let below: Option<Vec<f64>> = next.iter().map(|&t| self.upper_m.get(t).copied().flatten()).collect();
         match below {
             Some(below) if fits(&next) && !self.cover.has_add(tileset, tile) => {
                 one.against = Against::NextTiles;
-                Some((loader.union(&next), below.into_iter().fold(0.0, f64::max)))
+                Some((Finer::tiles(&next, self.known, part_faces), below.into_iter().fold(0.0, f64::max)))
             }
             _ => {
                 let most = self.config.most_reference_faces;
@@ -336,24 +361,40 @@ impl Job<'_> {
         }
     }
 
-    fn compare(&self, loader: &Loader, shown: &Shown, reference: &Shown, added_m: f64, one: &mut TileDistance) {
+    fn compare(
+        &self,
+        loader: &mut Loader,
+        shown: &Shown,
+        finer: &Finer<'_>,
+        added_m: f64,
+        one: &mut TileDistance,
+        watch: &mut dyn Watch,
+    ) -> Result<()> {
         let config = self.config;
-        let samples = (config.samples_per_face * reference.surface.faces.len() as f64).clamp(SAMPLES[0], SAMPLES[1]);
+        let samples = (config.samples_per_face * finer.all().faces as f64).clamp(SAMPLES[0], SAMPLES[1]);
         let measure =
             MeasureConfig { samples: samples as usize, tolerance_m: config.tolerance_m, ..MeasureConfig::default() };
-        let prepared = Reference::new(&reference.surface);
-        one.reference_area_m2 = prepared.quality().area_m2;
-        let comparison = prepared.compare(&shown.surface, &measure);
+        let mut pieces = Piecewise::new(&shown.surface, finer.whole(), &finer.boxes(), &measure);
+        for part in 0..finer.parts() {
+            self.reporter.check()?;
+            let (reference, is_guessed) = finer.load(loader, part, config.most_classified_faces);
+            one.is_guessed_class |= is_guessed;
+            watch.part(&reference);
+            let own = &reference.surface;
+            pieces.add(own, &mut |within| finer.around(loader, part, own, within));
+        }
+        one.reference_area_m2 = pieces.area_m2();
+        let (comparison, detail) = pieces.finish();
         let hausdorff = comparison.all.hausdorff;
         // Where tiles are missing, what stands where they were is not wrong.
         let whole = if one.is_incomplete { hausdorff.reference_to_simplified } else { hausdorff.two_sided };
         one.hausdorff =
             whole.map(|h| Interval { lower_m: (h.lower_m - added_m).max(0.0), upper_m: h.upper_m + added_m });
-        let detail = Detail::of(shown, reference, &loader.names);
-        one.worst = detail.worst;
-        one.class_swaps = detail.swaps;
+        one.worst = worst(&detail, one.is_incomplete);
+        one.class_swaps = swaps(&shown.surface, &detail.nearest_class, &loader.names);
         one.certificates = certificates(loader, one, &comparison, added_m);
         one.comparison = Some(comparison);
+        Ok(())
     }
 }
 
@@ -411,52 +452,28 @@ fn judge(tileset: &Tileset, one: &mut TileDistance, figures: Option<&TileFigures
     one.verdict = if is_texture { Verdict::Texture } else { Verdict::Overstated };
 }
 
-/// The worst vertex, and the classes of faces against those of the reference below them.
-struct Detail {
-    worst: Option<Worst>,
-    swaps: Vec<ClassSwap>,
+/// The worst vertex.
+fn worst(detail: &Detail, is_incomplete: bool) -> Option<Worst> {
+    let of = |found: Option<(DVec3, f64)>, is_on_reference| {
+        found.map(|(p, distance_m)| Worst { local_m: p.to_array(), distance_m, is_on_reference })
+    };
+    // Where tiles are missing, the tile itself is far from what is left.
+    let on_tile = of(detail.worst_of_simplified, false).filter(|_| !is_incomplete);
+    let both = [of(detail.worst_of_reference, true), on_tile];
+    both.into_iter().flatten().max_by(|a, b| a.distance_m.total_cmp(&b.distance_m))
 }
 
-impl Detail {
-    fn of(shown: &Shown, reference: &Shown, names: &ClassNames) -> Self {
-        let (tile, other) = (&shown.surface, &reference.surface);
-        let (of_tile, of_other) = (Bvh::new(&tile.positions, &tile.faces), Bvh::new(&other.positions, &other.faces));
-        let on_tile = furthest(tile, &of_other).map(|w| Worst { is_on_reference: false, ..w });
-        let on_other = furthest(other, &of_tile);
-        // Where tiles are missing, the tile itself is far from what is left.
-        let both = [on_other, on_tile.filter(|_| reference.refused.is_none())];
-        let worst = both.into_iter().flatten().max_by(|a, b| a.distance_m.total_cmp(&b.distance_m));
-        Self { worst, swaps: swaps(tile, other, &of_other, names) }
-    }
-}
-
-fn furthest(from: &Surface, to: &Bvh) -> Option<Worst> {
-    use rayon::prelude::*;
-    let mut used: Vec<u32> = from.faces.iter().flatten().copied().collect();
-    used.sort_unstable();
-    used.dedup();
-    let far = |&v: &u32| to.closest(from.positions[v as usize], f64::INFINITY).map(|hit| (hit.distance, v));
-    let worst = used.par_iter().filter_map(far).reduce_with(|a, b| {
-        // The lower vertex of equals, whatever the order.
-        if a.0 > b.0 || (a.0 == b.0 && a.1 < b.1) { a } else { b }
-    })?;
-    let local_m = from.positions[worst.1 as usize].to_array();
-    Some(Worst { local_m, distance_m: worst.0, is_on_reference: true })
-}
-
-fn swaps(tile: &Surface, reference: &Surface, of_reference: &Bvh, names: &ClassNames) -> Vec<ClassSwap> {
-    let (Some(own), Some(true_class)) = (&tile.class, &reference.class) else { return Vec::new() };
+/// Classes of faces against those of the reference nearest to them.
+fn swaps(tile: &Surface, nearest: &[ClassId], names: &ClassNames) -> Vec<ClassSwap> {
+    let Some(own) = tile.class.as_ref().filter(|own| own.len() == nearest.len()) else { return Vec::new() };
     let mut area = std::collections::BTreeMap::<(ClassId, ClassId), f64>::new();
     let mut whole = 0.0;
-    for (face, class) in tile.faces.iter().zip(own) {
+    for ((face, class), wanted) in tile.faces.iter().zip(own).zip(nearest) {
         let [a, b, c] = face.map(|v| tile.positions[v as usize]);
         let m2 = (b - a).cross(c - a).length() / 2.0;
-        let middle: DVec3 = (a + b + c) / 3.0;
         whole += m2;
-        let Some(hit) = of_reference.closest(middle, f64::INFINITY) else { continue };
-        let wanted = true_class[hit.face as usize];
-        if wanted != *class {
-            *area.entry((wanted, *class)).or_default() += m2;
+        if wanted != class {
+            *area.entry((*wanted, *class)).or_default() += m2;
         }
     }
     let mut found: Vec<ClassSwap> = area

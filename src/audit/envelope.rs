@@ -6,7 +6,8 @@
 //! 1. the highest point of each surface over every cell of a plan grid (triangles are cut to cells: walls and thin
 //!    poles count)
 //! 2. sinking: the reference's top less the tile's highest top within one cell around, never below 0
-//! 3. cells that sink by more than the limit, joined where they touch: an obstacle lost
+//! 3. cells that are lower by more than the limit than the tile anywhere within the limit, joined where they touch: an
+//!    obstacle lost. A wall that moved by less has eroded: its foot sinks by its height and nothing is lost
 //! 4. lateral erosion: of cells that sink where they are, how far off the tile is high enough
 //!
 //! # Numbers
@@ -65,6 +66,8 @@ pub struct EnvelopeTile {
     pub lost: Vec<Lost>,
     /// How many were found.
     pub lost_count: usize,
+    /// How far around an obstacle its height was looked for, metres.
+    pub reach_m: f64,
     cell_m: f64,
     by_class: Vec<(ClassId, Sinking)>,
 }
@@ -102,7 +105,7 @@ pub struct EnvelopeRow {
     pub erosion_p95_m: f64,
     /// The most, as far as was looked.
     pub erosion_max_m: f64,
-    /// Obstacles lost: joined cells that sink by more than the limit.
+    /// Obstacles lost: joined cells that the tile is not as high as within the limit, less the limit.
     pub obstacles_lost: u64,
     /// Annex 15 areas whose vertical figure is not below `sink_le90_m`: a yardstick, not a finding of fitness.
     pub annex_15_vertical_figure_met: Vec<&'static str>,
@@ -129,16 +132,15 @@ impl Grid {
         }
     }
 
-    /// The highest point of `surface` over each cell, and the face it is on.
-    fn tops(&self, surface: &Surface) -> (Vec<f32>, Vec<u32>) {
-        let cells = self.size[0] * self.size[1];
-        let (mut top, mut face_at) = (vec![f32::NEG_INFINITY; cells], vec![u32::MAX; cells]);
+    /// Raises `top` to the highest point of `surface` over each cell; `class` becomes that of the face it is on.
+    fn raise(&self, surface: &Surface, top: &mut [f32], class: &mut [ClassId]) {
         let cell = |axis: usize, x: f64| {
             (((x - self.low[axis]) / self.cell_m).floor().max(0.0) as usize).min(self.size[axis] - 1)
         };
         let (mut row, mut piece) = (Vec::new(), Vec::new());
         for (f, face) in surface.faces.iter().enumerate() {
             let corners = face.map(|v| surface.positions[v as usize]);
+            let of_face = surface.class.as_ref().and_then(|class| class.get(f)).copied().unwrap_or(ClassNames::UNKNOWN);
             let ends = |points: &[DVec3], axis: usize| {
                 points.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), p| (l.min(p[axis]), h.max(p[axis])))
             };
@@ -154,12 +156,11 @@ impl Grid {
                     let z = piece.iter().map(|p| p.z).fold(f64::NEG_INFINITY, f64::max) as f32;
                     let at = j * self.size[0] + i;
                     if z > top[at] {
-                        (top[at], face_at[at]) = (z, f as u32);
+                        (top[at], class[at]) = (z, of_face);
                     }
                 }
             }
         }
-        (top, face_at)
     }
 
     /// The part of a polygon between two grid lines.
@@ -186,12 +187,33 @@ fn cut(polygon: &[DVec3], axis: usize, limit: f64, sign: f64, into: &mut Vec<DVe
     }
 }
 
+/// The highest points of a reference over a plan grid.
+pub struct Tops {
+    grid: Grid,
+    top: Vec<f32>,
+    class: Vec<ClassId>,
+}
+
+impl Tops {
+    /// Nothing yet, over the plan of `aabb`.
+    pub fn over(aabb: Aabb) -> Self {
+        let grid = Grid::over(aabb);
+        let cells = grid.size[0] * grid.size[1];
+        Self { grid, top: vec![f32::NEG_INFINITY; cells], class: vec![ClassNames::UNKNOWN; cells] }
+    }
+
+    /// Adds a part of the reference.
+    pub fn add(&mut self, part: &Surface) {
+        self.grid.raise(part, &mut self.top, &mut self.class);
+    }
+}
+
 impl EnvelopeTile {
     /// Compares what stands out of a tile with what stands out of its reference.
-    pub fn of(tile: usize, level: u32, shown: &Shown, reference: &Shown, names: &ClassNames, safe_m: f64) -> Self {
-        let grid = Grid::over(reference.aabb);
-        let (top, face_at) = grid.tops(&reference.surface);
-        let (own, _) = grid.tops(&shown.surface);
+    pub fn of(tile: usize, level: u32, shown: &Shown, reference: Tops, names: &ClassNames, safe_m: f64) -> Self {
+        let Tops { grid, top, class } = reference;
+        let mut own = vec![f32::NEG_INFINITY; top.len()];
+        grid.raise(&shown.surface, &mut own, &mut vec![ClassNames::UNKNOWN; top.len()]);
         let [width, height] = grid.size;
         let around = |at: usize, ring: i64| {
             let (x, y) = ((at % width) as i64, (at / width) as i64);
@@ -202,11 +224,9 @@ impl EnvelopeTile {
         let highest = |at: usize, ring: i64| around(at, ring).map(|i| own[i]).fold(f32::NEG_INFINITY, f32::max);
         let mut by_class = std::collections::BTreeMap::<ClassId, Sinking>::new();
         let mut sunk = vec![0.0f32; top.len()];
-        let class_of = |at: usize| match &reference.surface.class {
-            Some(class) => class.get(face_at[at] as usize).copied().unwrap_or(ClassNames::UNKNOWN),
-            None => ClassNames::UNKNOWN,
-        };
-        for at in (0..top.len()).filter(|&at| face_at[at] != u32::MAX) {
+        let reach = ((safe_m / grid.cell_m).ceil() as i64).clamp(1, MOST_RINGS);
+        let class_of = |at: usize| class[at];
+        for at in (0..top.len()).filter(|&at| top[at] > f32::NEG_INFINITY) {
             let of_class = by_class.entry(class_of(at)).or_default();
             of_class.bins.resize(BINS, 0);
             of_class.cells += 1;
@@ -216,7 +236,9 @@ impl EnvelopeTile {
                 continue;
             }
             let sink_m = f64::from(top[at] - near).max(0.0);
-            sunk[at] = sink_m as f32;
+            if sink_m > safe_m {
+                sunk[at] = (top[at] - highest(at, reach)).max(0.0);
+            }
             of_class.most_m = of_class.most_m.max(sink_m);
             of_class.bins[((sink_m / BIN_M) as usize).min(BINS - 1)] += 1;
             let enough = top[at] - safe_m as f32;
@@ -255,7 +277,8 @@ impl EnvelopeTile {
         lost.sort_by(|a, b| b.sink_m.total_cmp(&a.sink_m));
         let lost_count = lost.len();
         lost.truncate(MOST_LOST);
-        Self { tile, level, lost, lost_count, cell_m: grid.cell_m, by_class: by_class.into_iter().collect() }
+        let reach_m = reach as f64 * grid.cell_m;
+        Self { tile, level, lost, lost_count, reach_m, cell_m: grid.cell_m, by_class: by_class.into_iter().collect() }
     }
 }
 
@@ -342,10 +365,16 @@ mod tests {
         Shown { surface, aabb, refused: None }
     }
 
+    fn tops(reference: &Shown) -> Tops {
+        let mut tops = Tops::over(reference.aabb);
+        tops.add(&reference.surface);
+        tops
+    }
+
     #[test]
     fn a_thin_post_that_is_gone_is_an_obstacle_lost() {
         let names = ClassNames::default();
-        let of = |tile: &Shown, safe_m| EnvelopeTile::of(0, 0, tile, &square(Some(3.0)), &names, safe_m);
+        let of = |tile: &Shown, safe_m| EnvelopeTile::of(0, 0, tile, tops(&square(Some(3.0))), &names, safe_m);
         let found = of(&square(None), 1.0);
         assert_eq!(found.lost_count, 1);
         assert!((found.lost[0].sink_m - 3.0).abs() < 1e-6, "{:?}", found.lost);
@@ -361,7 +390,7 @@ mod tests {
     fn a_post_moved_by_a_cell_is_eroded_and_not_lost() {
         let mut moved = square(Some(3.0));
         moved.surface.positions[4..].iter_mut().for_each(|p| p.x += 0.25);
-        let found = EnvelopeTile::of(0, 0, &moved, &square(Some(3.0)), &ClassNames::default(), 1.0);
+        let found = EnvelopeTile::of(0, 0, &moved, tops(&square(Some(3.0))), &ClassNames::default(), 1.0);
         assert_eq!(found.lost_count, 0);
         let rows = rows(&[found], &ClassNames::default());
         assert!((rows[0].erosion_max_m - 0.25).abs() < 1e-6, "{rows:?}");

@@ -5,6 +5,7 @@ use serde::Serialize;
 use super::Audit;
 use super::distance::{TileDistance, Verdict};
 use super::seams::Crack;
+use super::textures::Than;
 use glam::DVec3;
 
 /// What a CI gate can be told to fail on.
@@ -94,16 +95,22 @@ pub fn of(audit: &Audit) -> Vec<Fault> {
     of_openings(audit, &mut faults);
     of_obstacles(audit, &mut faults);
     for blurred in &audit.blurred {
-        let (share, usual) = (100.0 * blurred.detail_share, 100.0 * blurred.level_share);
-        let what = format!(
-            "its image has {share:.0} % of its detail at its own resolution, others of its level {usual:.0} %: blurred"
-        );
+        let share = 100.0 * blurred.share;
+        let what = match blurred.than {
+            Than::Finer => format!(
+                "its image has {share:.0} % of the detail that the next finer tiles have at its resolution: blurred"
+            ),
+            Than::Level => format!("its image has {share:.0} % of the detail that others of its level have: blurred"),
+            Than::Itself => format!(
+                "its image has {share:.0} % of its detail at its own resolution: blurred, or larger than it need be"
+            ),
+        };
         faults.push(fault(
             audit,
             "texture-blurred",
             Group::Textures,
             blurred.tile,
-            blurred.level_share / blurred.detail_share.max(1e-6),
+            1.0 / blurred.share.max(1e-6),
             what,
         ));
     }
@@ -167,8 +174,8 @@ fn of_obstacles(audit: &Audit, faults: &mut Vec<Fault>) {
         let Some(worst) = tile.lost.first() else { continue };
         let place = super::cover::place(&audit.tileset, DVec3::from_array(worst.local_m));
         let what = format!(
-            "{} obstacles sink by more than {safe_m} m; the worst ({}) by {:.2} m over {:.2} m² (tiling error alone)",
-            tile.lost_count, worst.class, worst.sink_m, worst.area_m2
+            "{} obstacles are gone: nothing within {:.2} m is as high, less {safe_m} m; the worst ({}) sinks by {:.2} m over {:.2} m² (tiling error alone)",
+            tile.lost_count, tile.reach_m, worst.class, worst.sink_m, worst.area_m2
         );
         faults.push(Fault { place, ..fault(audit, "obstacle-lost", Group::Obstacles, tile.tile, worst.sink_m, what) });
     }

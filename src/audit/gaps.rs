@@ -1,11 +1,13 @@
 //! Holes as a flight would see them: where a tile is open and the surface it stands for is not, and the other way round.
 
+use glam::DVec3;
 use serde::Serialize;
 
-use super::cover::Shown;
 use crate::draw::holes::{HoleConfig, Holes};
 use crate::draw::raster::Seen;
 use crate::draw::view::{View, flight};
+use crate::geo::Aabb;
+use crate::measure::Surface;
 
 /// Views of a tile.
 const VIEWS: u32 = 6;
@@ -36,34 +38,82 @@ pub struct Openings {
     pub in_finer: Option<Opening>,
 }
 
-/// Looks at `shown` and `reference` from all around; outlines may differ by `error_m`.
-pub fn of(shown: &Shown, reference: &Shown, error_m: f64) -> Openings {
-    let corners = corners(shown.aabb.union(reference.aabb));
-    let mut found = Openings::default();
-    for view in flight(&corners, VIEWS, SIZE_PX) {
-        let tile = Seen::of(&view, &shown.surface.positions, &shown.surface.faces);
-        let finer = Seen::of(&view, &reference.surface.positions, &reference.surface.faces);
-        found.in_tile = larger(found.in_tile, opening(&view, &finer, &tile, reference, error_m));
-        found.in_finer = larger(found.in_finer, opening(&view, &tile, &finer, shown, error_m));
+/// A look at a tile from all around, and at its reference, part by part.
+pub struct Look {
+    views: Vec<View>,
+    finer: Vec<Layers>,
+    faces: u32,
+}
+
+/// The reference in one view.
+struct Layers {
+    seen: Seen,
+    /// Of the face at each pixel the middle.
+    middle: Vec<DVec3>,
+}
+
+impl Look {
+    /// Will look at what lies in `aabb`.
+    pub fn over(aabb: Aabb) -> Self {
+        let views: Vec<View> = flight(&corners(aabb), VIEWS, SIZE_PX);
+        let nothing = |view: &View| {
+            let seen = Seen::of(view, &[], &[]);
+            Layers { middle: vec![DVec3::ZERO; seen.faces().len()], seen }
+        };
+        Self { finer: views.iter().map(nothing).collect(), views, faces: 0 }
     }
-    found
+
+    /// Adds a part of the reference.
+    pub fn add(&mut self, part: &Surface) {
+        for layers in &mut self.finer {
+            let seen = Seen::of(layers.seen.view(), &part.positions, &part.faces);
+            for pixel in layers.seen.merge(&seen, self.faces) {
+                layers.middle[pixel] = middle(part, seen.faces()[pixel]);
+            }
+        }
+        self.faces = self.faces.saturating_add(part.faces.len() as u32);
+    }
+
+    /// Compares the tile with what was added; outlines may differ by `error_m`.
+    pub fn openings(&self, tile: &Surface, error_m: f64) -> Openings {
+        let mut found = Openings::default();
+        for (view, finer) in self.views.iter().zip(&self.finer) {
+            let seen = Seen::of(view, &tile.positions, &tile.faces);
+            let in_tile = opening(view, &finer.seen, &seen, error_m, &|pixel, _| finer.middle[pixel]);
+            let in_finer = opening(view, &seen, &finer.seen, error_m, &|_, face| middle(tile, face));
+            found.in_tile = larger(found.in_tile, in_tile);
+            found.in_finer = larger(found.in_finer, in_finer);
+        }
+        found
+    }
 }
 
-fn corners(aabb: crate::geo::Aabb) -> Vec<glam::DVec3> {
+fn middle(of: &Surface, face: u32) -> DVec3 {
+    let corners = of.faces.get(face as usize).map(|face| face.map(|v| of.positions[v as usize]));
+    corners.map_or(DVec3::ZERO, |[a, b, c]| (a + b + c) / 3.0)
+}
+
+fn corners(aabb: Aabb) -> Vec<DVec3> {
     let ends = [aabb.min, aabb.max];
-    (0..8).map(|i: usize| glam::DVec3::new(ends[i & 1].x, ends[i >> 1 & 1].y, ends[i >> 2].z)).collect()
+    (0..8).map(|i: usize| DVec3::new(ends[i & 1].x, ends[i >> 1 & 1].y, ends[i >> 2].z)).collect()
 }
 
-fn opening(view: &View, closed: &Seen, open: &Seen, of_closed: &Shown, error_m: f64) -> Option<Opening> {
+fn opening(
+    view: &View,
+    closed: &Seen,
+    open: &Seen,
+    error_m: f64,
+    place: &dyn Fn(usize, u32) -> DVec3,
+) -> Option<Opening> {
     let depth_m = (0..closed.faces().len()).filter_map(|i| closed.depth_m(i)).fold(f64::INFINITY, f64::min);
     let px = error_m / view.m_per_px(depth_m);
     let rim_px = if px.is_finite() { (px.ceil() as u32).saturating_add(1).min(MOST_RIM_PX) } else { MOST_RIM_PX };
     let holes = Holes::of(closed, open, &HoleConfig { behind_m: f64::INFINITY, rim_px });
     let counted: Vec<_> = holes.holes.iter().filter(|hole| hole.px >= LEAST_PX).collect();
     let largest = counted.first()?;
-    let face = of_closed.surface.faces.get(largest.face as usize)?;
-    let middle = face.iter().map(|&v| of_closed.surface.positions[v as usize]).sum::<glam::DVec3>() / 3.0;
-    Some(Opening { area_m2: largest.area_m2, local_m: middle.to_array(), count: counted.len() })
+    let pixel = (largest.at_px[1] * view.size_px()[0] + largest.at_px[0]) as usize;
+    let local_m = place(pixel, largest.face).to_array();
+    Some(Opening { area_m2: largest.area_m2, local_m, count: counted.len() })
 }
 
 fn larger(a: Option<Opening>, b: Option<Opening>) -> Option<Opening> {

@@ -17,9 +17,9 @@ use std::path::Path;
 use glam::DVec3;
 use serde::Serialize;
 
-use self::cover::{Cover, Loader};
-use self::distance::{DistanceConfig, TileDistance, Verdict};
-use self::envelope::{EnvelopeRow, EnvelopeTile};
+use self::cover::{ClassNames, Cover, Loader, Shown};
+use self::distance::{DistanceConfig, TileDistance, Verdict, Watch};
+use self::envelope::{EnvelopeRow, EnvelopeTile, Tops};
 use self::findings::Fault;
 use self::gaps::Openings;
 use self::read::Tileset;
@@ -36,6 +36,7 @@ pub mod cover;
 pub mod distance;
 pub mod envelope;
 pub mod findings;
+pub mod finer;
 pub mod gaps;
 pub mod page;
 pub mod read;
@@ -142,31 +143,11 @@ pub fn audit(named: &Path, config: &AuditConfig, reporter: &Reporter) -> Result<
     let finest = Cover::of(&tileset).finest(&tileset, 0);
     let finest_box = finest.iter().fold(Aabb::EMPTY, |aabb, &tile| aabb.union(loader.load(tile).aabb));
     let original = config.original.as_ref().map(|o| Original::read(o, &tileset, finest_box, reporter)).transpose()?;
-    let mut borders = vec![Border::default(); tileset.tiles.len()];
-    let (mut openings, mut envelope_tiles) = (Vec::new(), Vec::new());
-    let distances = distance::measure(
-        &mut loader,
-        &structure.tiles,
-        original.as_ref(),
-        &config.distance,
-        reporter,
-        &mut |loader, one, shown, reference| {
-            borders[one.tile] = Border::of(&shown.surface, shown.aabb);
-            let Some(interval) = one.hausdorff else { return };
-            // Where tiles are missing the tile stands out and nothing is known of its outline.
-            let error_m =
-                if one.is_incomplete { 0.0 } else { interval.upper_m.min(view::p95(one).unwrap_or(0.0) * 3.0) };
-            let found = gaps::of(shown, reference, error_m);
-            if found != Openings::default() {
-                openings.push((one.tile, found));
-            }
-            if let Some(safe_m) = config.obstacle_safe_m {
-                let names = &loader.names;
-                envelope_tiles.push(EnvelopeTile::of(one.tile, one.level, shown, reference, names, safe_m));
-            }
-        },
-    )?;
-    let textures = textures::measure(&tileset, reporter)?;
+    let mut watcher = Watcher::new(tileset.tiles.len(), config.obstacle_safe_m);
+    let distances =
+        distance::measure(&mut loader, &structure.tiles, original.as_ref(), &config.distance, reporter, &mut watcher)?;
+    let Watcher { borders, openings, envelope_tiles, .. } = watcher;
+    let textures = textures::measure(&tileset, &structure.tiles, reporter)?;
     let stage = reporter.stage("seams", 0);
     let seams = seams::measure(&tileset, &borders, &config.seams);
     stage.finish(format!("{} cracks within levels", seams.cracks.len()));
@@ -215,6 +196,56 @@ pub fn audit(named: &Path, config: &AuditConfig, reporter: &Reporter) -> Result<
     }
     audit.warnings = reporter.warnings();
     Ok(audit)
+}
+
+/// Keeps of each tile what has to be compared later, and looks at it while it is there.
+struct Watcher {
+    obstacle_safe_m: Option<f64>,
+    borders: Vec<Border>,
+    openings: Vec<(usize, Openings)>,
+    envelope_tiles: Vec<EnvelopeTile>,
+    look: Option<gaps::Look>,
+    tops: Option<Tops>,
+}
+
+impl Watcher {
+    fn new(tiles: usize, obstacle_safe_m: Option<f64>) -> Self {
+        Self {
+            obstacle_safe_m,
+            borders: vec![Border::default(); tiles],
+            openings: Vec::new(),
+            envelope_tiles: Vec::new(),
+            look: None,
+            tops: None,
+        }
+    }
+}
+
+impl Watch for Watcher {
+    fn begin(&mut self, shown: &Shown, reference: Aabb) {
+        self.look = Some(gaps::Look::over(shown.aabb.union(reference)));
+        self.tops = self.obstacle_safe_m.map(|_| Tops::over(reference));
+    }
+
+    fn part(&mut self, part: &Shown) {
+        self.look.iter_mut().for_each(|look| look.add(&part.surface));
+        self.tops.iter_mut().for_each(|tops| tops.add(&part.surface));
+    }
+
+    fn end(&mut self, names: &ClassNames, one: &TileDistance, shown: &Shown) {
+        self.borders[one.tile] = Border::of(&shown.surface, shown.aabb);
+        let (look, tops) = (self.look.take(), self.tops.take());
+        let (Some(interval), Some(look)) = (one.hausdorff, look) else { return };
+        // Where tiles are missing the tile stands out and nothing is known of its outline.
+        let error_m = if one.is_incomplete { 0.0 } else { interval.upper_m.min(view::p95(one).unwrap_or(0.0) * 3.0) };
+        let found = look.openings(&shown.surface, error_m);
+        if found != Openings::default() {
+            self.openings.push((one.tile, found));
+        }
+        if let (Some(safe_m), Some(tops)) = (self.obstacle_safe_m, tops) {
+            self.envelope_tiles.push(EnvelopeTile::of(one.tile, one.level, shown, tops, names, safe_m));
+        }
+    }
 }
 
 /// The surface at the middle of the finest tiles, local frame.

@@ -35,7 +35,7 @@ const STYLE: &str = "body{font:15px/1.45 system-ui,sans-serif;color:#222;max-wid
 h1{font-size:22px;margin:0 0 4px}h2{font-size:17px;margin:30px 0 8px;border-bottom:1px solid #ddd;padding-bottom:3px}\
 .v{padding:12px 16px;border-radius:6px;font-size:18px;margin:12px 0;color:#fff}.bad{background:#a3201c}.slow{background:#9a5b00}\
 .good{background:#1c6b35}.none{background:#555}table{border-collapse:collapse;font-size:13px;width:100%}\
-th,td{padding:3px 7px;text-align:right;border-bottom:1px solid #e6e6e6;white-space:nowrap}th{background:#f4f4f6;position:sticky;top:0}\
+th,td{padding:3px 7px;text-align:right;border-bottom:1px solid #e6e6e6;white-space:nowrap}th{background:#f4f4f6;position:sticky;top:0;white-space:normal}\
 td.t,th.t{text-align:left;white-space:normal}tr.all td{font-weight:600;border-top:1px solid #999}.danger{color:#a3201c;font-weight:600}\
 .slowly{color:#9a5b00;font-weight:600}.fine{color:#1c6b35}.small{font-size:13px;color:#555}ul{margin:6px 0;padding-left:22px}\
 img{max-width:100%;height:auto}figure{margin:14px 0}figcaption{font-size:13px;color:#444}code{font-size:12px}\
@@ -54,6 +54,7 @@ pub fn html(audit: &Audit, named: &str) -> Result<String> {
          content=\"width=device-width\"><link rel=\"icon\" href=\"data:,\"><title>Audit of {title}</title><style>{STYLE}</style></head><body>\n"
     );
     head(audit, &title, &mut page);
+    plainly(audit, &mut page);
     reasons(audit, &mut page);
     table(audit, &mut page);
     curves(audit, &mut page);
@@ -101,6 +102,45 @@ fn head(audit: &Audit, title: &str, page: &mut String) {
         counts.join(", "),
         env!("CARGO_PKG_VERSION"),
     );
+}
+
+/// What the figures say, for those who do not read tables.
+fn plainly(audit: &Audit, page: &mut String) {
+    let mut said = Vec::new();
+    let measured: Vec<_> =
+        audit.rows.iter().filter(|r| r.class.is_none()).filter_map(|r| Some((r, r.hausdorff?))).collect();
+    let ends = [measured.first(), measured.last().filter(|_| measured.len() > 1)];
+    for (row, interval) in ends.into_iter().flatten() {
+        said.push(format!(
+            "Level {}{}: no point is more than <b>{:.2} m</b> off (certified), 95 % are within <b>{:.2} m</b>; the shape sinks \
+             in by {:.2} m at most where it was looked at.",
+            row.level,
+            if row.level == 0 { ", the coarsest" } else { "" },
+            interval.upper_m,
+            row.p95_m,
+            row.inside_seen_m
+        ));
+    }
+    let judged = audit.distances.iter().filter(|d| d.verdict != Verdict::Finest).count();
+    let texture = audit.distances.iter().filter(|d| d.verdict == Verdict::Texture).count();
+    if texture > 0 {
+        said.push(format!(
+            "{texture} of {judged} tiles state more than their shape needs, because their images do: viewers refine them for \
+             sharpness."
+        ));
+    }
+    if let Some(safe_m) = audit.config.obstacle_safe_m {
+        for row in audit.envelope.iter().filter(|r| r.class == "all") {
+            said.push(format!(
+                "Obstacles, level {}: <b>{}</b> are gone (nothing as high, less {safe_m} m, within {safe_m} m); 90 % of the area \
+                 sinks by less than {:.2} m.",
+                row.level, row.obstacles_lost, row.sink_le90_m
+            ));
+        }
+    }
+    let finest = if audit.placed.is_some() { "" } else { ", and what the finest tiles lost of the original mesh" };
+    said.push(format!("Not in any of these figures: the error of the survey{finest}."));
+    let _ = write!(page, "<ul><li>{}</li></ul>", said.join("</li><li>"));
 }
 
 fn reasons(audit: &Audit, page: &mut String) {
@@ -346,8 +386,9 @@ fn obstacles(audit: &Audit, safe_m: f64, page: &mut String) {
             row.annex_15_vertical_figure_met.join(", ")
         );
     }
-    page.push_str("</table><p class=\"small\">Lost: joined cells that sink by more than the limit within one cell around. Lateral: \
-        how far off the height is found again. The last column names the ICAO Annex 15 areas whose vertical figure for obstacle data \
+    page.push_str("</table><p class=\"small\">Sinking is looked at within \
+        one cell around: the foot of a wall that moved by more sinks by its height. Lost: joined cells for which nothing within the \
+        limit is as high, less the limit. Lateral: how far off the height is found again. The last column names the ICAO Annex 15 areas whose vertical figure for obstacle data \
         (30, 3, 0.5, 1 m at 90 %) is not below LE90: a yardstick for one part of the error, not a statement of fitness.</p>");
 }
 
@@ -480,13 +521,13 @@ fn panels(d: &TileDistance, shown: &Shown, reference: &Shown) -> image::RgbImage
 
 fn levels(audit: &Audit, page: &mut String) {
     page.push_str("<h2>Levels</h2><table><tr><th>level</th><th>tiles</th><th>unread</th><th>triangles</th><th>MB</th><th>most triangles</th>\
-        <th>most draw calls</th><th>most texture, MB</th><th>m per texel</th><th>texels per pixel</th><th>image detail</th><th>out of volume, m</th></tr>");
+        <th>most draw calls</th><th>most texture, MB</th><th>m per texel</th><th>texels per pixel</th><th>image detail</th><th>of the finer's</th><th>out of volume, m</th></tr>");
     for l in &audit.structure.levels {
         let or_dash = |v: Option<f64>| v.map_or("-".into(), |v| format!("{v:.3}"));
-        let detail = audit.textures.iter().find(|t| t.level == l.level).map(|t| t.detail_share);
+        let detail = audit.textures.iter().find(|t| t.level == l.level);
         let _ = write!(
             page,
-            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2}</td><td>{}</td><td>{}</td><td>{:.1}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.3}</td></tr>",
+            "<tr><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.2}</td><td>{}</td><td>{}</td><td>{:.1}</td><td>{}</td><td>{}</td><td>{}</td><td>{}</td><td>{:.3}</td></tr>",
             l.level,
             l.tiles,
             l.refused,
@@ -497,12 +538,14 @@ fn levels(audit: &Audit, page: &mut String) {
             l.most_texture_rgba_bytes as f64 / 1e6,
             or_dash(l.metres_per_texel),
             or_dash(l.texels_per_pixel),
-            or_dash(detail),
+            or_dash(detail.map(|d| d.detail_share)),
+            or_dash(detail.and_then(|d| d.share_of_finer)),
             l.sum.outside_tile_m
         );
     }
     page.push_str("</table><p class=\"small\">Texels per pixel: at the distance where a tile is replaced; below 1 it is seen blurred \
-        before. Image detail: of an image at its own resolution, by the most in the octaves below; of blurred ones it is small.</p>");
+        before. Image detail: of an image at its own resolution, by the most in the octaves below; of blurred ones it is small. Of the finer's: by the detail \
+        that the next finer tiles have at that resolution; 1 is as sharp as can be.</p>");
 }
 
 fn limits(audit: &Audit, page: &mut String) {

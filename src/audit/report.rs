@@ -328,11 +328,18 @@ impl Audit {
                 times(Verdict::Overstated)
             ),
         };
-        let grave = self.faults.iter().filter(|f| f.group.is_grave() && f.group != Group::Understated).count();
-        let other = match grave {
-            0 => "no other grave fault".to_string(),
-            1 => "1 other grave fault".into(),
-            n => format!("{n} other grave faults"),
+        let is_other = |code: &str| {
+            self.faults.iter().any(|f| f.code == code && f.group.is_grave() && f.group != Group::Understated)
+        };
+        let grave: Vec<String> = self
+            .codes_by_group()
+            .into_iter()
+            .filter(|(code, _)| is_other(code))
+            .map(|(code, count)| format!("{count} × {code}"))
+            .collect();
+        let other = match grave.is_empty() {
+            true => "no other grave fault".to_string(),
+            false => format!("but also {}", grave.join(", ")),
         };
         format!("Verdict: {errors}; {other}.")
     }

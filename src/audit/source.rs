@@ -51,6 +51,9 @@ pub struct Placed {
 const SHIFT_M: f64 = 0.5;
 const SHIFT_REL: f64 = 0.005;
 
+/// Nothing is beyond, metres.
+const FAR: DVec3 = DVec3::splat(1e9);
+
 impl Original {
     /// Reads the original and brings it into the frame of `tileset`, whose finest tiles lie in `box_local`.
     ///
@@ -88,16 +91,29 @@ impl Original {
         Ok(Self { mesh, bvh, is_stacked: is_stacked(tileset), placed })
     }
 
-    /// The part of the original within `aabb`; of tiles that do not lie above one another at any height.
-    pub fn part(&self, aabb: Aabb) -> Shown {
+    /// Faces whose boxes touch `aabb`.
+    pub fn count(&self, aabb: Aabb) -> usize {
+        let within = self.within(aabb);
+        let mut count = 0;
+        self.bvh.overlapping(within.min.max(-FAR), within.max.min(FAR), &mut |_| count += 1);
+        count
+    }
+
+    /// Tiles that do not lie above one another stand for what is there at any height.
+    fn within(&self, aabb: Aabb) -> Aabb {
         let mut within = aabb;
         if !self.is_stacked {
             within.min.z = f64::NEG_INFINITY;
             within.max.z = f64::INFINITY;
         }
+        within
+    }
+
+    /// The part of the original within `aabb`; of tiles that do not lie above one another at any height.
+    pub fn part(&self, aabb: Aabb) -> Shown {
+        let within = self.within(aabb);
         let mut faces = Vec::new();
-        let far = DVec3::splat(1e9);
-        self.bvh.overlapping(within.min.max(-far), within.max.min(far), &mut |f| faces.push(f));
+        self.bvh.overlapping(within.min.max(-FAR), within.max.min(FAR), &mut |f| faces.push(f));
         faces.sort_unstable();
         let mut surface = Surface::default();
         let mut aabb = Aabb::EMPTY;

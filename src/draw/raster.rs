@@ -79,6 +79,21 @@ impl Seen {
         Self { view: *view, faces: seen, nearness }
     }
 
+    /// Takes over what `other`, drawn with the same view, shows nearer to the camera; says at which pixels. Its faces are
+    /// counted on from `first`.
+    ///
+    /// # Panics
+    /// If the views differ.
+    pub fn merge(&mut self, other: &Self, first: u32) -> Vec<usize> {
+        assert_eq!(self.view, other.view, "pixels have to mean the same places");
+        let nearer: Vec<usize> = (0..self.faces.len()).filter(|&i| other.nearness[i] > self.nearness[i]).collect();
+        for &i in &nearer {
+            self.faces[i] = other.faces[i].saturating_add(first);
+            self.nearness[i] = other.nearness[i];
+        }
+        nearer
+    }
+
     /// The view it was drawn with.
     pub fn view(&self) -> &View {
         &self.view

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::sample::Sampler;
 use super::signed::{Normals, Sides};
-use super::surface::{Near, Prepared};
+use super::surface::{Near, Prepared, Surface};
 
 /// A set of distances in numbers.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -42,6 +42,21 @@ pub(super) struct Series {
 }
 
 impl Series {
+    /// Adds another's distances.
+    pub fn extend(&mut self, other: Self) {
+        self.distance.extend(other.distance);
+        self.class.extend(other.class);
+    }
+
+    /// The largest distance of each class, and of `known`.
+    pub fn largest(&self, mut known: [Option<f64>; Surface::MOST_CLASSES]) -> [Option<f64>; Surface::MOST_CLASSES] {
+        for (distance, class) in self.distance.iter().zip(&self.class) {
+            let known = &mut known[usize::from(*class)];
+            *known = Some(known.map_or(*distance, |k: f64| k.max(*distance)));
+        }
+        known
+    }
+
     /// The distances of `class`, or all, in ascending order.
     pub fn sorted(&self, class: Option<u8>) -> Vec<f64> {
         let pairs = self.distance.iter().zip(&self.class);
@@ -112,6 +127,7 @@ pub(super) enum Labels {
 }
 
 /// What the samples of one direction say.
+#[derive(Default)]
 pub(super) struct Pass {
     pub series: Series,
     /// Angle between the normals at a sample and at its nearest point, degrees.
@@ -122,7 +138,7 @@ pub(super) struct Pass {
 /// Measures from the sampler's points on `from` to `to`, which must have faces.
 pub(super) fn measure(from: &Prepared, sampler: &Sampler, to: &Prepared, normals: &Normals, labels: Labels) -> Pass {
     let chunk = |chunk: usize| {
-        let mut pass = Pass { series: Series::default(), turn_deg: Vec::new(), sides: Sides::default() };
+        let mut pass = Pass::default();
         let mut start = None;
         for sample in sampler.chunk(chunk) {
             let begin = start.unwrap_or_else(|| to.nearest_of(&[sample.point])[0].face);
@@ -141,14 +157,18 @@ pub(super) fn measure(from: &Prepared, sampler: &Sampler, to: &Prepared, normals
         pass
     };
     let parts: Vec<Pass> = (0..sampler.chunks()).into_par_iter().map(chunk).collect();
-    let mut all = Pass { series: Series::default(), turn_deg: Vec::new(), sides: Sides::default() };
-    for part in parts {
-        all.series.distance.extend(part.series.distance);
-        all.series.class.extend(part.series.class);
-        all.turn_deg.extend(part.turn_deg);
-        all.sides.merge(&part.sides);
-    }
+    let mut all = Pass::default();
+    parts.into_iter().for_each(|part| all.extend(part));
     all
+}
+
+impl Pass {
+    /// Adds what another says.
+    pub fn extend(&mut self, other: Self) {
+        self.series.extend(other.series);
+        self.turn_deg.extend(other.turn_deg);
+        self.sides.merge(&other.sides);
+    }
 }
 
 /// The distances of vertices, each counted for `class_of` it.

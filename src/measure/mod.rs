@@ -39,6 +39,7 @@ use serde::Serialize;
 
 mod certify;
 mod distance;
+mod parts;
 mod quality;
 mod sample;
 mod signed;
@@ -48,6 +49,7 @@ mod tests;
 
 pub use certify::Interval;
 pub use distance::Summary;
+pub use parts::{Piecewise, Whole};
 pub use quality::Quality;
 pub use signed::SignedBounds;
 pub use surface::Surface;
@@ -183,19 +185,54 @@ pub fn compare(reference: &Surface, simplified: &Surface, config: &MeasureConfig
     Reference::new(reference).compare(simplified, config)
 }
 
+/// What a comparison shows beside its figures.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Detail {
+    /// The vertex of the reference that is furthest from the simplified surface, and how far, metres.
+    pub worst_of_reference: Option<(glam::DVec3, f64)>,
+    /// The same the other way.
+    pub worst_of_simplified: Option<(glam::DVec3, f64)>,
+    /// For each simplified face the class of the reference nearest to its middle; empty if the reference has none, or
+    /// if a simplified face could not be used.
+    pub nearest_class: Vec<ClassId>,
+}
+
+/// What there is of a reference, by class.
+#[derive(Debug, Clone, Default)]
+struct Tally {
+    faces_in_file: usize,
+    faces: [usize; Surface::MOST_CLASSES],
+    area_m2: [f64; Surface::MOST_CLASSES],
+    diagonal_m: f64,
+    /// Empty if it has no classes.
+    classes: Vec<ClassId>,
+}
+
+impl Tally {
+    fn add(&mut self, surface: &Prepared) {
+        self.faces_in_file += surface.faces.len() + surface.left_out;
+        for f in 0..surface.faces.len() as u32 {
+            let class = usize::from(surface.class_of(f));
+            self.faces[class] += 1;
+            self.area_m2[class] += surface.area(f);
+        }
+        if !surface.class.is_empty() {
+            let present = (0..Surface::MOST_CLASSES).filter(|&k| self.faces[k] > 0);
+            self.classes = present.map(|k| ClassId(k as u8)).collect();
+        }
+    }
+}
+
 /// A reference with all that is worth making once for many simplified surfaces.
 pub struct Reference {
     surface: Prepared,
     center: glam::DVec3,
-    diagonal_m: f64,
     edges: Edges,
-    /// Per face of the surface.
-    area_m2: Vec<f64>,
+    tally: Tally,
     /// Node masks if there are classes.
     masks: Option<Vec<u32>>,
     /// Per point. On the border of classes a vertex counts for one of them.
     vertex_class: Vec<u8>,
-    classes: Vec<ClassId>,
 }
 
 impl Reference {
@@ -204,6 +241,12 @@ impl Reference {
         let used = surface.faces.iter().flatten().filter_map(|&v| surface.positions.get(v as usize));
         let aabb = crate::geo::Aabb::of(used.copied().filter(|p| p.is_finite()));
         let prepared = Prepared::new(surface, aabb.center());
+        let mut tally = Tally { diagonal_m: aabb.size().length(), ..Tally::default() };
+        tally.add(&prepared);
+        Self::of(prepared, aabb.center(), tally)
+    }
+
+    fn of(prepared: Prepared, center: glam::DVec3, tally: Tally) -> Self {
         let edges = Edges::of(&prepared);
         let masks = (!prepared.class.is_empty()).then(|| prepared.class_masks());
         let mut vertex_class = vec![0; prepared.points.len()];
@@ -212,17 +255,7 @@ impl Reference {
                 vertex_class[face[k] as usize] = prepared.class_of(f as u32);
             }
         }
-        let present = masks.as_ref().and_then(|m| m.first()).copied().unwrap_or(0);
-        Self {
-            center: aabb.center(),
-            diagonal_m: aabb.size().length(),
-            area_m2: (0..prepared.faces.len() as u32).map(|f| prepared.area(f)).collect(),
-            classes: (0..Surface::MOST_CLASSES as u8).filter(|k| present & (1 << k) != 0).map(ClassId).collect(),
-            surface: prepared,
-            edges,
-            masks,
-            vertex_class,
-        }
+        Self { center, edges, tally, masks, vertex_class, surface: prepared }
     }
 
     /// The reference in itself.
@@ -232,12 +265,12 @@ impl Reference {
 
     /// Diagonal of the box around all its faces, metres.
     pub fn diagonal_m(&self) -> f64 {
-        self.diagonal_m
+        self.tally.diagonal_m
     }
 
     /// Width that certified intervals are to have, metres.
     pub fn tolerance_m(&self, config: &MeasureConfig) -> f64 {
-        config.tolerance_m.unwrap_or(TOLERANCE_M.min(TOLERANCE_REL * self.diagonal_m))
+        tolerance_m(config, self.diagonal_m())
     }
 
     /// Certified bounds of the largest distance alone, all classes together: reference to simplified and back.
@@ -267,58 +300,72 @@ impl Reference {
 
     /// Measures one simplified surface.
     pub fn compare(&self, simplified: &Surface, config: &MeasureConfig) -> Comparison {
+        self.compare_in_detail(simplified, config).0
+    }
+
+    /// Measures one simplified surface, and says where it is worst.
+    pub fn compare_in_detail(&self, simplified: &Surface, config: &MeasureConfig) -> (Comparison, Detail) {
         // Whatever classes it has, the reference's decide.
         let simplified = &Prepared::new(simplified, self.center);
         let edges = Edges::of(simplified);
         let measured = Measured::of(self, simplified, &edges, config);
-        let figures = |class: Option<ClassId>| self.figures(simplified, measured.as_ref(), class);
-        let classed = |&class: &ClassId| ClassFigures { class, figures: figures(Some(class)) };
-        Comparison {
-            face_share: edges.quality.faces_in_file as f64 / self.edges.quality.faces_in_file.max(1) as f64,
-            all: figures(None),
-            by_class: self.classes.iter().map(classed).collect(),
-            normals: measured.as_ref().and_then(|m| normal_figures(&m.there.turn_deg)),
-            quality: edges.quality,
-        }
+        let detail = measured.as_ref().map(|m| m.detail(self.center, &self.tally, simplified)).unwrap_or_default();
+        (comparison(&self.tally, measured.as_ref(), edges.quality), detail)
     }
+}
 
-    fn figures(&self, simplified: &Prepared, measured: Option<&Measured>, class: Option<ClassId>) -> Figures {
-        let is_of = |k: u8| class.is_none_or(|c| c.0 == k);
-        let faces = || (0..self.surface.faces.len()).filter(|&f| is_of(self.surface.class_of(f as u32)));
-        let area = |of: &mut dyn Iterator<Item = usize>| of.map(|f| self.area_m2[f]).sum::<f64>();
-        let whole_m2 = area(&mut (0..self.area_m2.len()));
-        let mut figures = Figures {
-            reference_faces: faces().count(),
-            reference_area_share: if whole_m2 > 0.0 { area(&mut faces()) / whole_m2 } else { 0.0 },
-            simplified_faces: simplified.faces.len(),
+fn tolerance_m(config: &MeasureConfig, diagonal_m: f64) -> f64 {
+    config.tolerance_m.unwrap_or(TOLERANCE_M.min(TOLERANCE_REL * diagonal_m))
+}
+
+fn comparison(tally: &Tally, measured: Option<&Measured>, quality: Quality) -> Comparison {
+    let figures =
+        |class: Option<ClassId>| figures(tally, quality.faces_in_file - quality.faces_left_out, measured, class);
+    let classed = |&class: &ClassId| ClassFigures { class, figures: figures(Some(class)) };
+    Comparison {
+        face_share: quality.faces_in_file as f64 / tally.faces_in_file.max(1) as f64,
+        all: figures(None),
+        by_class: tally.classes.iter().map(classed).collect(),
+        normals: measured.and_then(|m| normal_figures(&m.there.turn_deg)),
+        quality,
+    }
+}
+
+fn figures(tally: &Tally, simplified_faces: usize, measured: Option<&Measured>, class: Option<ClassId>) -> Figures {
+    let is_of = |k: usize| class.is_none_or(|c| c.index() == k);
+    let kept = || (0..Surface::MOST_CLASSES).filter(|&k| is_of(k));
+    let whole_m2 = tally.area_m2.iter().sum::<f64>();
+    let area_m2 = kept().map(|k| tally.area_m2[k]).sum::<f64>();
+    let mut figures = Figures {
+        reference_faces: kept().map(|k| tally.faces[k]).sum(),
+        reference_area_share: if whole_m2 > 0.0 { area_m2 / whole_m2 } else { 0.0 },
+        simplified_faces,
+        reference_to_simplified: None,
+        simplified_to_reference: None,
+        two_sided: None,
+        reference_vertices_to_simplified: None,
+        hausdorff: Hausdorff {
             reference_to_simplified: None,
             simplified_to_reference: None,
             two_sided: None,
-            reference_vertices_to_simplified: None,
-            hausdorff: Hausdorff {
-                reference_to_simplified: None,
-                simplified_to_reference: None,
-                two_sided: None,
-                two_sided_rel: None,
-            },
-            signed: None,
-            paper: None,
-        };
-        let Some(measured) = measured else { return figures };
-        let (key, diagonal) = (class.map(|c| c.0), self.diagonal_m);
-        figures.simplified_faces = measured.face_class.iter().filter(|k| is_of(**k)).count();
-        let (there, back) = (measured.there.series.sorted(key), measured.back.series.sorted(key));
-        figures.reference_to_simplified = distance::summary(&there, diagonal);
-        figures.simplified_to_reference = distance::summary(&back, diagonal);
-        let alone = || figures.reference_to_simplified.clone().or_else(|| figures.simplified_to_reference.clone());
-        figures.two_sided = distance::two_sided(&there, &back, diagonal).or_else(alone);
-        figures.reference_vertices_to_simplified =
-            distance::summary(&measured.reference_vertices.sorted(key), diagonal);
-        figures.hausdorff = measured.hausdorff(key, diagonal);
-        figures.signed = measured.signed(key, figures.hausdorff.two_sided);
-        figures.paper = paper(&measured.simplified_vertices.sorted(key), diagonal);
-        figures
-    }
+            two_sided_rel: None,
+        },
+        signed: None,
+        paper: None,
+    };
+    let Some(measured) = measured else { return figures };
+    let (key, diagonal) = (class.map(|c| c.0), tally.diagonal_m);
+    figures.simplified_faces = measured.face_class.iter().filter(|k| is_of(usize::from(**k))).count();
+    let (there, back) = (measured.there.series.sorted(key), measured.back.series.sorted(key));
+    figures.reference_to_simplified = distance::summary(&there, diagonal);
+    figures.simplified_to_reference = distance::summary(&back, diagonal);
+    let alone = || figures.reference_to_simplified.clone().or_else(|| figures.simplified_to_reference.clone());
+    figures.two_sided = distance::two_sided(&there, &back, diagonal).or_else(alone);
+    figures.reference_vertices_to_simplified = distance::summary(&measured.reference_vertices.sorted(key), diagonal);
+    figures.hausdorff = measured.hausdorff(key, diagonal);
+    figures.signed = measured.signed(key, figures.hausdorff.two_sided);
+    figures.paper = paper(&measured.simplified_vertices.sorted(key), diagonal);
+    figures
 }
 
 /// Nearest points of all vertices, both ways.
@@ -338,6 +385,7 @@ impl Nearest {
 }
 
 /// All distances of one comparison, with the classes they count for.
+#[derive(Default)]
 struct Measured {
     there: Pass,
     back: Pass,
@@ -346,9 +394,12 @@ struct Measured {
     sides: SidesBothWays,
     intervals: [Vec<Option<Interval>>; 2],
     face_class: Vec<u8>,
+    /// Of the reference and of the simplified surface, about the centre.
+    furthest: [Option<(glam::DVec3, f64)>; 2],
 }
 
 /// Per class how far the simplified surface sinks in and stands out, seen from either.
+#[derive(Default)]
 struct SidesBothWays {
     inside: Vec<f64>,
     outside: Vec<f64>,
@@ -376,11 +427,7 @@ impl Measured {
         );
 
         let search = |from, to, near, seen: &Series| {
-            let mut floor = [None; Surface::MOST_CLASSES];
-            for (distance, class) in seen.distance.iter().zip(&seen.class) {
-                let known: &mut Option<f64> = &mut floor[usize::from(*class)];
-                *known = Some(known.map_or(*distance, |k| k.max(*distance)));
-            }
+            let floor = seen.largest([None; Surface::MOST_CLASSES]);
             reference.search(from, to, near, floor, config)
         };
         let forward = search(surface, simplified, &near.of_reference, &there.series);
@@ -393,17 +440,22 @@ impl Measured {
             None => [forward.run(), backward.run()],
         };
 
-        let middles: Vec<_> = (0..simplified.faces.len() as u32)
-            .map(|f| simplified.corners(f).iter().sum::<glam::DVec3>() / 3.0)
-            .collect();
-        let face_class = surface.nearest_of(&middles).iter().map(|n| surface.class_of(n.face)).collect();
+        let face_class = surface.nearest_classes(&simplified.middles());
         let intervals = [forward, backward];
-        Some(Self { there, back, reference_vertices, simplified_vertices, sides, intervals, face_class })
+        let furthest = [furthest(surface, &near.of_reference), furthest(simplified, &near.of_simplified)];
+        Some(Self { there, back, reference_vertices, simplified_vertices, sides, intervals, face_class, furthest })
+    }
+
+    fn detail(&self, center: glam::DVec3, tally: &Tally, simplified: &Prepared) -> Detail {
+        let [worst_of_reference, worst_of_simplified] = self.furthest.map(|f| f.map(|(p, d)| (p + center, d)));
+        let is_told = !tally.classes.is_empty() && simplified.left_out == 0;
+        let nearest_class = if is_told { self.face_class.iter().map(|&k| ClassId(k)).collect() } else { Vec::new() };
+        Detail { worst_of_reference, worst_of_simplified, nearest_class }
     }
 
     fn hausdorff(&self, class: Option<u8>, diagonal_m: f64) -> Hausdorff {
         let of = |intervals: &[Option<Interval>]| match class {
-            Some(k) => intervals[usize::from(k)],
+            Some(k) => intervals.get(usize::from(k)).copied().flatten(),
             None => intervals.iter().flatten().copied().reduce(Interval::max),
         };
         let [there, back] = [of(&self.intervals[0]), of(&self.intervals[1])];
@@ -418,7 +470,7 @@ impl Measured {
 
     fn signed(&self, class: Option<u8>, certified: Option<Interval>) -> Option<SignedBounds> {
         let largest = |of: &[f64]| match class {
-            Some(k) => of[usize::from(k)],
+            Some(k) => of.get(usize::from(k)).copied().unwrap_or(0.0),
             None => of.iter().copied().fold(0.0, f64::max),
         };
         Some(SignedBounds {
@@ -440,6 +492,12 @@ impl SidesBothWays {
         let larger = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a.max(*b)).collect();
         Self { inside: larger(&there.outside, &back.inside), outside: larger(&there.inside, &back.outside) }
     }
+}
+
+/// The point that is furthest, the first of equals.
+fn furthest(from: &Prepared, near: &[Near]) -> Option<(glam::DVec3, f64)> {
+    let larger = |a: usize, b: usize| if near[b].distance > near[a].distance { b } else { a };
+    (0..near.len()).reduce(larger).map(|v| (from.points[v], near[v].distance))
 }
 
 fn see_vertices(from: &Prepared, near: &[Near], series: &Series, to: &Prepared, normals: &Normals) -> Sides {

@@ -144,6 +144,30 @@ impl Prepared {
         points.par_chunks(POINTS_PER_CHUNK).flat_map_iter(chunk).collect()
     }
 
+    /// The class of the face nearest to each point. The surface must have faces.
+    pub fn nearest_classes(&self, points: &[DVec3]) -> Vec<u8> {
+        self.nearest_of(points).iter().map(|near| self.class_of(near.face)).collect()
+    }
+
+    /// The middle of each face.
+    pub fn middles(&self) -> Vec<DVec3> {
+        (0..self.faces.len() as u32).map(|f| self.corners(f).iter().sum::<DVec3>() / 3.0).collect()
+    }
+
+    /// Triangles that are measured from and not to: they have no tree.
+    pub fn without_tree(triangles: &[[DVec3; 3]]) -> Self {
+        let mut ids: HashMap<[u64; 3], u32> = HashMap::with_capacity(triangles.len());
+        let mut points = Vec::new();
+        let mut id = |p: DVec3| {
+            *ids.entry((p + 0.0).to_array().map(f64::to_bits)).or_insert_with(|| {
+                points.push(p);
+                points.len() as u32 - 1
+            })
+        };
+        let faces = triangles.iter().map(|corners| corners.map(&mut id)).collect();
+        Self { points, faces, class: Vec::new(), left_out: 0, bvh: Bvh::new(&[], &[]) }
+    }
+
     /// Node masks of the classes; see [`Bvh::masks`].
     pub fn class_masks(&self) -> Vec<u32> {
         self.bvh.masks(|f| 1 << self.class_of(f))

@@ -2,6 +2,7 @@ use glam::DVec3;
 use proptest::prelude::*;
 
 use super::*;
+use crate::geo::Aabb;
 
 fn v(x: f64, y: f64, z: f64) -> DVec3 {
     DVec3::new(x, y, z)
@@ -205,6 +206,73 @@ fn the_number_of_threads_changes_nothing() {
         pool.install(|| serde_json::to_string(&compare(&hills, &rough, &few())).unwrap())
     };
     assert_eq!(run(1), run(4));
+}
+
+#[test]
+fn a_reference_in_parts_gives_the_same_figures() {
+    let mut hills = grid(40, |x, y| (f64::from(x) * 0.7).sin() + (f64::from(y) * 1.3).cos());
+    hills.class = Some((0..hills.faces.len()).map(|f| ClassId((f / 900) as u8)).collect());
+    let rough = grid(40, |x, y| (f64::from(x) * 0.7).sin() + (f64::from(y) * 1.3).cos() * 0.8);
+    let config = MeasureConfig { samples: 200_000, ..few() };
+    let (one, detail) = Reference::new(&hills).compare_in_detail(&rough, &config);
+    // Four parts, row by row.
+    let part = |i: usize| {
+        let faces = 800 * i..800 * (i + 1);
+        let class = hills.class.as_ref().map(|class| class[faces.clone()].to_vec());
+        Surface { positions: hills.positions.clone(), faces: hills.faces[faces].to_vec(), class }
+    };
+    let around = |s: &Surface| Aabb::of(s.faces.iter().flatten().map(|&v| s.positions[v as usize]));
+    let boxes: Vec<Aabb> = (0..4).map(|i| around(&part(i))).collect();
+    let area = |f: &[u32; 3]| {
+        let [a, b, c] = f.map(|v| hills.positions[v as usize]);
+        (b - a).cross(c - a).length() / 2.0
+    };
+    let whole = Whole { aabb: around(&hills), area_m2: hills.faces.iter().map(area).sum() };
+    let mut pieces = Piecewise::new(&rough, whole, &boxes, &config);
+    for i in 0..4 {
+        pieces.add(&part(i), &mut |within| {
+            let mut near = hills.clone();
+            let touches = |f: usize| {
+                let corners = hills.faces[f].map(|v| hills.positions[v as usize]);
+                Aabb::of(corners).min.cmple(within.max).all() && Aabb::of(corners).max.cmpge(within.min).all()
+            };
+            let kept: Vec<usize> = (0..hills.faces.len()).filter(|&f| f / 800 == i || touches(f)).collect();
+            assert!(kept.len() < hills.faces.len(), "not all is near");
+            near.faces = kept.iter().map(|&f| hills.faces[f]).collect();
+            near.class = hills.class.as_ref().map(|class| kept.iter().map(|&f| class[f]).collect());
+            Some(near)
+        });
+    }
+    assert!(close(pieces.area_m2(), whole.area_m2, 1e-9));
+    let (many, detail_of_many) = pieces.finish();
+    assert_eq!(many.by_class.len(), one.by_class.len());
+    let pairs = one.by_class.iter().zip(&many.by_class).map(|(a, b)| (&a.figures, &b.figures));
+    for (a, b) in pairs.chain([(&one.all, &many.all)]) {
+        assert_eq!(a.reference_faces, b.reference_faces);
+        // On the border of two classes either may be nearest.
+        assert!(a.simplified_faces.abs_diff(b.simplified_faces) <= 45, "{} {}", a.simplified_faces, b.simplified_faces);
+        assert!(close(a.reference_area_share, b.reference_area_share, 1e-12));
+        let (x, y) = (a.hausdorff.two_sided.unwrap(), b.hausdorff.two_sided.unwrap());
+        assert!(x.lower_m <= y.upper_m && y.lower_m <= x.upper_m && y.upper_m - y.lower_m < 0.012, "{x:?} {y:?}");
+        let (x, y) = (a.two_sided.as_ref().unwrap(), b.two_sided.as_ref().unwrap());
+        for (x, y) in [(x.mean_m, y.mean_m), (x.rms_m, y.rms_m), (x.p95_m, y.p95_m), (x.p99_m, y.p99_m)] {
+            assert!(close(x, y, 0.01 * x), "{x} {y}");
+        }
+        let (x, y) = (a.signed.unwrap(), b.signed.unwrap());
+        // Seen at vertices and at samples, which lie elsewhere.
+        let is_close = close(x.inside_seen_m, y.inside_seen_m, 0.02) && close(x.outside_seen_m, y.outside_seen_m, 0.02);
+        assert!(is_close, "{x:?} {y:?}");
+        let (x, y) = (a.paper.unwrap(), b.paper.unwrap());
+        assert!(x.vertices.abs_diff(y.vertices) <= 45 && close(x.eq17_mean_m, y.eq17_mean_m, 0.02), "{x:?} {y:?}");
+    }
+    assert_eq!(one.all.paper.map(|p| p.vertices), many.all.paper.map(|p| p.vertices));
+    for (a, b) in [
+        (detail.worst_of_reference, detail_of_many.worst_of_reference),
+        (detail.worst_of_simplified, detail_of_many.worst_of_simplified),
+    ] {
+        assert!(close(a.unwrap().1, b.unwrap().1, 1e-12));
+    }
+    assert_eq!(detail.nearest_class.len(), detail_of_many.nearest_class.len());
 }
 
 #[test]

@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use crate::common::town::{Node, town};
 use crate::common::{files, rooftile};
 
-fn run(folder: &Path, obstacle_safe_m: Option<f64>) -> Audit {
+pub fn run(folder: &Path, obstacle_safe_m: Option<f64>) -> Audit {
     let config = AuditConfig { obstacle_safe_m, ..AuditConfig::default() };
     audit(folder, &config, &Reporter::new(true)).expect("an audit")
 }
@@ -250,7 +250,7 @@ fn a_missing_tile_is_named_and_the_tiles_above_are_not_accused_for_it() {
 }
 
 /// A GLB of triangles, z up turned to y up.
-fn glb(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<u8> {
+pub fn glb(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<u8> {
     let mut bin: Vec<u8> = positions.iter().flat_map(|&[x, y, z]| [x, z, -y]).flat_map(f32::to_le_bytes).collect();
     bin.extend(faces.iter().flatten().flat_map(|v| v.to_le_bytes()));
     let json = json!({
@@ -285,7 +285,7 @@ fn glb(positions: &[[f32; 3]], faces: &[[u32; 3]]) -> Vec<u8> {
 }
 
 /// A flat roof of 20 m with a chimney of 0.5 m and 1.5 m height, and a coarser tile without it.
-fn house(folder: &Path, error_m: f64) {
+pub fn house(folder: &Path, error_m: f64) {
     let roof = vec![[0.0, 0.0, 5.0], [20.0, 0.0, 5.0], [20.0, 20.0, 5.0], [0.0, 20.0, 5.0]];
     let faces = vec![[0, 1, 2], [0, 2, 3]];
     std::fs::write(folder.join("coarse.glb"), glb(&roof, &faces)).expect("written");

@@ -4,6 +4,7 @@
 //! |---|---|
 //! | `cli` | flags, exit codes, what is left on disk, signals |
 //! | `audit` | certificates hold, planted faults are found and named, exit codes, the page, rewritten errors |
+//! | `audit_kinds` | the audit on implicit, packed, composite, compressed, georeferenced tilesets, along routes, against originals |
 //! | `compare` | figures of known shapes, labels, refusals |
 //! | `bad_input` | every kind of broken input ends in one sentence and the designed exit code |
 //! | `determinism` | same input, same bytes, for any number of threads |
@@ -25,6 +26,7 @@
 //! `CI` is set they fail instead.
 
 mod audit;
+mod audit_kinds;
 mod bad_input;
 mod cli;
 mod common;

@@ -439,6 +439,80 @@ fn a_draco_stream_is_decoded_and_no_flipped_one_panics() {
     }
 }
 
+/// A sheet of 7 × 7 vertices as a common packer writes it, with connectivity and predictions.
+#[cfg(feature = "draco")]
+#[test]
+fn a_draco_stream_of_a_common_packer_is_the_sheet_that_was_packed() {
+    let whole = include_bytes!("../../../fixtures/draco_grid.glb");
+    let mesh = load("a.glb", whole.to_vec()).unwrap().remove(0);
+    assert_eq!((mesh.faces.len(), mesh.positions.len()), (72, 49));
+    for p in &mesh.positions {
+        // z up: x is i / 2, y is j / 2.
+        let height = (p.x / 0.5 * 0.9).sin() * (p.y / 0.5 * 0.7).cos();
+        assert!((p.z - height).abs() < 1e-3, "{p}");
+    }
+    let area = |f: &[u32; 3]| {
+        let [a, b, c] = f.map(|v| mesh.positions[v as usize].truncate());
+        (b - a).perp_dot(c - a) / 2.0
+    };
+    assert!((mesh.faces.iter().map(area).sum::<f64>() - 9.0).abs() < 1e-2, "all faces are turned upwards");
+    for at in (0..whole.len()).step_by(7) {
+        let mut flipped = whole.to_vec();
+        flipped[at] ^= 0x55;
+        let _ = load("a.glb", flipped);
+    }
+}
+
+/// Serves a folder on a port of this machine, one request at a time; ends with the test.
+#[cfg(feature = "http")]
+fn serve(folder: std::path::PathBuf) -> String {
+    use std::io::{BufRead, BufReader};
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let origin = format!("http://{}", listener.local_addr().unwrap());
+    std::thread::spawn(move || {
+        for stream in listener.incoming() {
+            let mut stream = stream.unwrap();
+            let mut lines = BufReader::new(stream.try_clone().unwrap()).lines();
+            let first = lines.next().unwrap().unwrap();
+            lines.map_while(Result::ok).take_while(|line| !line.is_empty()).for_each(drop);
+            let path = first.split(' ').nth(1).unwrap();
+            // The token comes with every request.
+            let (path, query) = path.split_once('?').unwrap_or((path, ""));
+            let file =
+                std::fs::read(folder.join(path.trim_start_matches('/'))).ok().filter(|_| query.contains("token=7"));
+            let (status, body) = file.map_or(("404 Not Found", Vec::new()), |body| ("200 OK", body));
+            let head = format!("HTTP/1.1 {status}\r\nContent-Length: {}\r\nConnection: close\r\n\r\n", body.len());
+            let _ = stream.write_all(head.as_bytes()).and_then(|()| stream.write_all(&body));
+        }
+    });
+    origin
+}
+
+#[cfg(feature = "http")]
+#[test]
+fn a_tileset_on_a_server_is_read_over_external_tilesets_and_what_is_missing_is_told() {
+    let mut root = leaf("a.b3dm");
+    let outside = leaf("http://127.0.0.2/x.glb");
+    root["children"] = json!([leaf("b/tileset.json?v=2&token=7"), leaf("none.glb"), outside]);
+    let model = glb(&gltf2(), &body());
+    let temp = folder(&[
+        ("set/tileset.json", text(tileset(root))),
+        ("set/a.b3dm", b3dm(&model, "")),
+        ("set/b/tileset.json", text(tileset(leaf("../c.glb")))),
+        ("set/c.glb", model),
+    ]);
+    let origin = serve(temp.path().to_path_buf());
+    let set = open(Path::new(&format!("{origin}/set/?token=7"))).unwrap();
+    let reporter = Reporter::new(true);
+    let found: Vec<Result<usize, &str>> = (0..set.tiles.len())
+        .filter(|&tile| set.tiles[tile].has_mesh())
+        .map(|tile| set.load(tile, &reporter).map(|meshes| meshes.len()).map_err(|refusal| refusal.code))
+        .collect();
+    assert_eq!(found, [Ok(1), Ok(1), Err("missing"), Err("bad-uri")], "{:?}", set.warnings);
+    is_the_triangle(&set.load(0, &reporter).unwrap()[0]);
+    assert!(open(Path::new(&format!("{origin}/set/tileset.json"))).is_err(), "without the token there is nothing");
+}
+
 #[cfg(not(feature = "draco"))]
 #[test]
 fn draco_without_a_decoder_is_refused_by_name() {

@@ -22,7 +22,7 @@ use glam::{DVec2, DVec3};
 use super::ClassesConfig;
 use super::raster::{extreme, fill, gradient, higher, lower, mean, neighbourhood};
 use crate::mesh::Mesh;
-use crate::planes::{NONE, Planes};
+use crate::planes::{NONE, Planes, Region};
 
 /// Steepest ground the first pass believes in, metres per metre: 63°. Steep roofs still fall with their walls.
 const STEEPEST: f32 = 2.0;
@@ -76,7 +76,12 @@ pub struct Ground {
 impl Ground {
     /// Models the ground of a mesh.
     pub fn of(mesh: &Mesh, planes: &Planes, config: &ClassesConfig) -> Self {
-        let mut ground = Self::grid(mesh, planes, config);
+        Self::on(None, mesh, planes, config)
+    }
+
+    /// Models the ground of a mesh that may be a part of something larger with a lattice of its own.
+    pub fn on(lattice: Option<Lattice>, mesh: &Mesh, planes: &Planes, config: &ClassesConfig) -> Self {
+        let mut ground = Self::grid(lattice, mesh, planes, config);
         ground.lowest = ground.lowest_surface(mesh, planes);
         let widest = ((0.5 * config.widest_building_m / ground.cell_m).ceil() as usize).max(1);
         let cell = ground.cell_m as f32;
@@ -93,9 +98,12 @@ impl Ground {
 
     /// An empty grid with cells of a median edge (1 m to 3 m), coarser where the extent would need too many or most
     /// would be empty.
-    fn grid(mesh: &Mesh, planes: &Planes, config: &ClassesConfig) -> Self {
-        let first = mesh.positions.first().copied().unwrap_or(DVec3::ZERO);
-        let along = direction(planes, first);
+    fn grid(lattice: Option<Lattice>, mesh: &Mesh, planes: &Planes, config: &ClassesConfig) -> Self {
+        let own = || {
+            let first = mesh.positions.first().copied().unwrap_or(DVec3::ZERO);
+            Lattice::over(&planes.regions, first)
+        };
+        let Lattice { anchor: first, along } = lattice.unwrap_or_else(own);
         let (mut low, mut high, mut least_z) = (DVec2::INFINITY, DVec2::NEG_INFINITY, f64::INFINITY);
         for p in &mesh.positions {
             let q = turned(along, *p - first);
@@ -108,14 +116,21 @@ impl Ground {
         let worthwhile = 65_536.0 + 2.0 * mesh.faces.len() as f64;
         let limit = f64::from(config.max_cells.max(16)).min(worthwhile);
         let mut cell_m = planes.median_edge_m.clamp(1.0, 3.0);
-        let cells = |extent: f64, cell: f64| (extent / cell + 2.0 * MARGIN).floor() + 1.0;
+        // A part may begin anywhere in a cell.
+        let ends = if lattice.is_some() { 2.0 } else { 1.0 };
+        let cells = |extent: f64, cell: f64| (extent / cell + 2.0 * MARGIN).floor() + ends;
         while cells(size.x, cell_m) * cells(size.y, cell_m) > limit {
             cell_m *= 1.25;
         }
+        // Parts of one lattice have their corners at whole cells of it.
+        let corner = match lattice {
+            None => low - MARGIN * cell_m,
+            Some(_) => ((low / cell_m - MARGIN).floor() + MARGIN.fract()) * cell_m,
+        };
         Self {
-            anchor: first.with_z(least_z),
+            anchor: first.with_z(lattice.map_or(least_z, |_| first.z)),
             along,
-            corner: low - MARGIN * cell_m,
+            corner,
             cell_m,
             per_m: 1.0 / cell_m,
             nx: cells(size.x, cell_m) as usize,
@@ -364,12 +379,28 @@ fn turned(along: DVec2, p: DVec3) -> DVec2 {
     DVec2::new(along.x * p.x + along.y * p.y, along.x * p.y - along.y * p.x)
 }
 
+/// Where the cells of grids lie.
+#[derive(Debug, Clone, Copy)]
+pub struct Lattice {
+    /// From here cells are counted in plan; the zero of heights.
+    anchor: DVec3,
+    /// First axis.
+    along: DVec2,
+}
+
+impl Lattice {
+    /// The lattice of a surface with these regions.
+    pub fn over(regions: &[Region], anchor: DVec3) -> Self {
+        Self { anchor, along: direction(regions, anchor) }
+    }
+}
+
 /// The grid's first axis, a unit vector that turns with the mesh: [`ASKEW_DEG`] from the direction in plan that most walls
 /// and roofs follow or stand across; of the four such axes the one that has most of the mesh ahead and to its left, as
 /// seen from its `first` vertex.
-fn direction(planes: &Planes, first: DVec3) -> DVec2 {
+fn direction(regions: &[Region], first: DVec3) -> DVec2 {
     let (mut fourfold, mut ahead) = (DVec2::ZERO, DVec2::ZERO);
-    for region in &planes.regions {
+    for region in regions {
         let level = region.normal.truncate();
         // Turned four times as far, the four directions of a rectangle are one.
         let twice = level.rotate(level);

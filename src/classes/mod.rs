@@ -55,7 +55,7 @@ pub mod tune;
 
 pub use classify::{Classifier, classify, classify_measured, looks_at_colors};
 pub use confusion::{Confusion, confusion};
-pub use ground::Ground;
+pub use ground::{Ground, Lattice};
 pub use nine::Scene;
 
 /// A probability per class for every face.

@@ -152,14 +152,14 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     Ok(Outcome::Fine)
 }
 
-/// One window of cells takes up to 0.8 GB.
-const LEAST_MEMORY_BYTES: u64 = 1_000_000_000;
+/// One window of cells takes up to 1.4 GB.
+const LEAST_MEMORY_BYTES: u64 = 1_500_000_000;
 
 fn memory_asked(args: &Args) -> Result<u64> {
     let Some(text) = &args.memory else { return Ok(memory::default_bytes().max(LEAST_MEMORY_BYTES)) };
     match memory::parse_bytes(text) {
         Some(bytes) if bytes >= LEAST_MEMORY_BYTES => Ok(bytes),
-        _ => Err(Error::Config(format!("--memory {text}: wanted at least 1GB, for instance 2GB or 4GiB"))),
+        _ => Err(Error::Config(format!("--memory {text}: wanted at least 1.5GB, for instance 2GB or 4GiB"))),
     }
 }
 

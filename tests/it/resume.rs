@@ -126,10 +126,10 @@ fn work_of_other_inputs_or_settings_is_not_taken_over() {
 fn neither_memory_nor_threads_show_in_the_bytes() {
     let temp = tempfile::tempdir().expect("a folder");
     let input = input(temp.path(), false);
-    let one = whole(&input, &temp.path().join("one"), &["--threads", "1", "--memory", "1GB"]);
+    let one = whole(&input, &temp.path().join("one"), &["--threads", "1", "--memory", "1.5GB"]);
     let two = whole(&input, &temp.path().join("two"), &["--threads", "3", "--memory", "8GiB"]);
     assert!(one == two);
-    for (bad, word) in [("12MB", "1GB"), ("lots", "2GB")] {
+    for (bad, word) in [("12MB", "1.5GB"), ("lots", "2GB")] {
         let run = build(&input, &temp.path().join("three"), &["--memory", bad]).wants(2);
         assert!(run.stderr.contains(word), "{}", run.stderr);
     }

@@ -132,6 +132,32 @@ fn a_cut_of_a_textured_mesh_looks_like_it() {
 }
 
 #[test]
+fn compare_draws_both_and_says_how_alike_they_look() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let input = painted_hills(temp.path(), 24);
+    let [out, plain, folder] = ["cut.glb", "plain.ply", "look"].map(|name| temp.path().join(name));
+    simplify(&input, &out, &["--faces", "20%"]);
+    simplify(&input, &plain, &["--faces", "20%"]);
+    let compare = |simplified: &Path| {
+        let [input, simplified, folder] = [&input, simplified, &folder].map(|p| p.to_str().expect("UTF-8"));
+        let fixed = ["compare", input, simplified, "-q", "--json", "--samples", "1000", "--views", "3", "--pictures"];
+        rooftile(fixed.into_iter().chain([folder]))
+    };
+    let alike = compare(&out).wants(0).json()["simplified"][0]["alike"].clone();
+    let each: Vec<f64> = alike["psnr_db"].as_array().expect("views").iter().map(|v| v.as_f64().expect("dB")).collect();
+    assert!(each.len() == 3 && each.iter().all(|db| *db > 24.0), "{alike}");
+    let all = alike["all_db"].as_f64().expect("dB");
+    assert!(each.iter().any(|db| *db <= all) && each.iter().any(|db| *db >= all), "{alike}");
+    assert!(alike["covered"].as_f64().is_some_and(|share| share > 0.98 && share <= 1.0), "{alike}");
+    assert_eq!(names(&folder), ["0-00.png", "0-01.png", "0-02.png"]);
+    let pair = image::open(folder.join("0-00.png")).expect("a picture");
+    assert_eq!([pair.width(), pair.height()], [1600, 600]);
+    fs::remove_dir_all(&folder).expect("a folder");
+    assert!(compare(&plain).wants(2).stderr.contains("has no texture"));
+    assert!(!folder.exists());
+}
+
+#[test]
 fn a_glb_holds_its_picture_and_is_unlit() {
     let temp = tempfile::tempdir().expect("a folder");
     let input = shapes::house(temp.path());

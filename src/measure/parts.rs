@@ -88,8 +88,7 @@ impl<'a> Piecewise<'a> {
                 owned[part].middles.push(middle);
             }
         }
-        let mut measured = Measured::default();
-        measured.face_class = vec![0; simplified.faces.len()];
+        let measured = Measured { face_class: vec![0; simplified.faces.len()], ..Measured::default() };
         let tally = Tally { diagonal_m: whole.aabb.size().length(), ..Tally::default() };
         Self { config, whole, edges: Edges::of(&simplified), owned, parts: 0, measured, tally, simplified }
     }

@@ -75,7 +75,8 @@ fn an_original_in_its_own_coordinates_is_laid_over_a_tileset_on_the_globe() {
     assert!(shift.truncate().length() < 1e-3 && (shift.z - 0.25).abs() < 1e-3, "{shift}");
     assert!(!codes.contains(&"source-shifted"), "{codes:?}");
     holds(found.distances[0].hausdorff, 2.0);
-    holds(found.distances[1].hausdorff, 1.5);
+    // A corner of the finest tile's chimney, as far from the roof below as from the triangle above.
+    holds(found.distances[1].hausdorff, 1.03125);
     assert!(found.distances.iter().all(|d| d.against == Against::Original));
     assert_eq!((found.distances[0].verdict, found.distances[1].verdict), (Verdict::Understated, Verdict::Finest));
 

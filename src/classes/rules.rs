@@ -18,6 +18,10 @@ const BENT: f32 = 0.018;
 /// z of the normal of the steepest roof, a spire's: 65°.
 const STEEPEST_ROOF: f32 = 0.42;
 
+/// A level plane of this many m² that lies a metre or two above what is around it is made ground: a platform, a deck, an
+/// embankment. What lies on the ground is smaller.
+const MADE_GROUND_M2: f32 = 200.0;
+
 /// 0 far below `at`, 1 far above; `width` is the distance over which it goes from 0.27 to 0.73.
 fn above(x: f32, at: f32, width: f32) -> f32 {
     1.0 / (1.0 + exp(-2.0 * (x - at) / width))
@@ -44,13 +48,14 @@ pub fn scores(features: &Features, f: usize, region: Option<&RegionFeatures>, co
             let planar = smooth * flatness * evident * (0.25 + 0.75 * large);
             let upright = 1.0 - above(r.normal_z.abs(), config.upright_deg.to_radians().sin() as f32, 0.06);
             // A wall stands free: its top is in the air. A cliff's top is ground.
+            let made = planar * above(r.area_m2, MADE_GROUND_M2, 80.0);
             let free = above(r.top_m, config.wall_height_m as f32, 0.6);
             [
-                low * (1.0 - upright * free) * (0.5 + 0.5 * planar) * (1.0 - aside),
+                low * (1.0 - upright * free) * (0.5 + 0.5 * planar) * (1.0 - aside) + between * (1.0 - upright) * made,
                 planar * upright * free,
                 planar * above(r.normal_z, STEEPEST_ROOF, 0.12) * high,
                 (1.0 - planar) * (1.0 - low)
-                    + between * (1.0 - upright)
+                    + between * (1.0 - upright) * (1.0 - made)
                     + low * aside * (1.0 - planar * upright * free),
             ]
         }

@@ -238,3 +238,21 @@ fn turning_the_mesh_about_the_vertical_changes_hardly_any_label() {
         assert!(changed / all < 0.005, "{degrees}°: {} of the area", changed / all);
     }
 }
+
+#[test]
+fn a_car_park_raised_by_a_metre_and_a_half_is_terrain_and_the_cars_on_it_are_clutter() {
+    let is_car = |x: f64, y: f64| x.rem_euclid(6.0) < 2.5 && y.rem_euclid(12.0) < 5.0 && (20.0..60.0).contains(&x);
+    let is_lot = |x: f64, y: f64| (15.0..65.0).contains(&x) && (12.0..68.0).contains(&y);
+    let height = |x: f64, y: f64| match (is_lot(x, y), is_car(x, y)) {
+        (true, true) => 3.0,
+        (true, false) => 1.5,
+        _ => 0.0,
+    };
+    let mesh = scene(80.0, |x, y| Some(height(x, y)));
+    let classes = labelled(&mesh);
+    let lot = share(&mesh, &classes, ClassId::TERRAIN, |p, up| up > 0.9 && is_lot(p.x, p.y) && p.z < 1.6);
+    let cars = share(&mesh, &classes, ClassId::CLUTTER, |p, up| up > 0.9 && is_lot(p.x, p.y) && p.z > 2.5);
+    let building =
+        share(&mesh, &classes, ClassId::ROOF, |_, _| true) + share(&mesh, &classes, ClassId::FACADE, |_, _| true);
+    assert!(lot > 0.95 && cars > 0.95 && building < 0.01, "lot {lot}, cars {cars}, building {building}");
+}

@@ -191,8 +191,12 @@ impl<'a> Job<'a> {
         let refit = self.config.refit && self.config.method == Method::Semantic;
         let block = self.block(refit || self.config.record);
         let mut done = block.collapse();
+        self.omega = std::mem::take(&mut done.block.omega);
         let mut cut = self.cut(&mut done);
         let samples = std::mem::take(&mut done.block.samples);
+        if self.mesh.positions.is_empty() {
+            self.mesh.positions = samples.iter().map(|s| s.point).collect();
+        }
         if refit {
             let mut points = self.points(samples, &cut.face_ids, cut.scale);
             refit::refit(&mut cut.positions, &mut cut.faces, &mut points);
@@ -232,7 +236,7 @@ impl<'a> Job<'a> {
         }
     }
 
-    /// The whole mesh as one block; it is kept here only if it is `wanted` again.
+    /// The whole mesh as one block. Of what is `wanted` again, faces stay here; positions only if no sample has them.
     fn block(&mut self, wanted: bool) -> Block<'static> {
         let rules = self.rules();
         // The paper's importance of a class, for want of its numbers: the squared inverse of our budget, 1 for the mean.
@@ -241,14 +245,19 @@ impl<'a> Job<'a> {
         let paper = self.config.method == Method::Paper;
         let flags = border_vertices(&self.mesh).into_iter().map(|b| if b { BORDER } else { 0 }).collect();
         let samples = if self.tracked { self.samples() } else { Vec::new() };
-        let Mesh { positions, faces, .. } = if wanted { self.mesh.clone() } else { std::mem::take(&mut self.mesh) };
+        let faces = if wanted { self.mesh.faces.clone() } else { std::mem::take(&mut self.mesh.faces) };
+        let positions = if wanted && !self.tracked {
+            self.mesh.positions.clone()
+        } else {
+            std::mem::take(&mut self.mesh.positions)
+        };
         Block {
             origin: self.origin,
             vertex_ids: Vec::new(),
             positions,
             flags,
             faces,
-            omega: if wanted { self.omega.clone() } else { std::mem::take(&mut self.omega) },
+            omega: std::mem::take(&mut self.omega),
             paper_weight: if paper { self.labels.iter().map(importance).collect() } else { Vec::new() },
             group: Vec::new(),
             boxes: &[],

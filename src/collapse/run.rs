@@ -165,6 +165,8 @@ impl<'a> Run<'a> {
         let faces: Vec<Face> = std::mem::take(&mut block.faces).into_iter().zip(0..).map(face).collect();
         let riders: Vec<Rider> = std::mem::take(&mut block.samples).into_iter().map(Rider::of).collect();
         let deviation = riders.iter().map(|s| f64::from(s.weight) * f64::from(s.squared_m2)).sum();
+        // Room that is not used costs nothing; to move what grows leaves holes.
+        let most = if block.rules.recorded { faces.len().saturating_sub(block.rules.stop_faces) / 2 } else { 0 };
         let mut run = Self {
             deviation,
             quadrics: Vec::new(),
@@ -185,9 +187,9 @@ impl<'a> Run<'a> {
             area_m2,
             held: Vec::new(),
             held_at: scale,
-            log: Vec::new(),
+            log: Vec::with_capacity(most),
             folded: Vec::new(),
-            deviations: Vec::new(),
+            deviations: Vec::with_capacity(most),
             count: 0,
             vertices,
             faces,
@@ -230,6 +232,7 @@ impl<'a> Run<'a> {
         drop((queue, arena, version));
         block.samples = riders.into_iter().map(Rider::sample).collect();
         block.faces = faces.iter().map(|f| f.corners).collect();
+        block.omega = faces.iter().map(|f| f.omega).collect();
         drop(faces);
         block.flags = vertices.iter().map(|v| v.flags).collect();
         block.positions = vertices.iter().map(|v| v.at).collect();

@@ -1,7 +1,8 @@
 //! Which faces each vertex has, as lists in one arena.
 //!
 //! A vertex that takes over another's faces gets a new list at the arena's end; lists only shrink in place. So a star is
-//! read in one run of memory, on non-manifold meshes too, and the arena grows by about a third of its first size.
+//! read in one run of memory, on non-manifold meshes too, and the arena about doubles by the time 10 % of the faces are
+//! left.
 
 /// Where the list of a vertex is in an [`Arena`].
 #[derive(Debug, Clone, Copy, Default)]
@@ -31,7 +32,8 @@ impl Arena {
             total += span.len;
             span.len = 0;
         }
-        let mut arena = vec![0; total as usize];
+        let mut arena = Vec::with_capacity(total as usize / 2 * 5);
+        arena.resize(total as usize, 0);
         for (f, face) in faces.iter().enumerate() {
             for &v in face {
                 let span = &mut spans[v as usize];

@@ -172,14 +172,17 @@ impl std::ops::SubAssign for Form {
     }
 }
 
-/// A [`Form`] in half the memory.
+/// A [`Form`] in half the memory. What f32 rounds away is far below what holds a vertex along a plane.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct SmallForm([f32; 6]);
 
 impl SmallForm {
+    /// Rounded.
     pub fn of(form: &Form) -> Self {
         Self([form.xx, form.xy, form.xz, form.yy, form.yz, form.zz].map(|x| x as f32))
     }
+
+    /// To calculate with.
     pub fn form(&self) -> Form {
         let [xx, xy, xz, yy, yz, zz] = self.0.map(f64::from);
         Form { xx, xy, xz, yy, yz, zz }

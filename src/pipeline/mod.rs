@@ -251,7 +251,9 @@ impl Tree<'_> {
         // A leaf is the source, texels and all: only what rounding did to it counts.
         let own = if node.is_leaf() { made.geometry_m } else { made.geometry_m.max(texel_factor * made.texel_m) };
         // The scale at which the certified bounds are within their budgets, whatever the collapse was allowed.
-        let own_scale = made.classes.iter().map(|d| d.bound_m / scheme[d.class].budget_m).fold(0.0, f64::max);
+        // Rounded up, so that the budget at that scale is not below the bound.
+        let of_class = |d: &ClassDeviation| (d.bound_m / scheme[d.class].budget_m).next_up();
+        let own_scale = made.classes.iter().map(of_class).fold(0.0, f64::max);
         let scale = children.iter().map(|c| c.scale).fold(own_scale, f64::max);
         let class_error = |d: &ClassDeviation| ClassError {
             class: d.class,

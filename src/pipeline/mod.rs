@@ -252,7 +252,10 @@ impl Tree<'_> {
         let own = if node.is_leaf() { made.geometry_m } else { made.geometry_m.max(texel_factor * made.texel_m) };
         // The scale at which the certified bounds are within their budgets, whatever the collapse was allowed.
         // Rounded up, so that the budget at that scale is not below the bound.
-        let of_class = |d: &ClassDeviation| (d.bound_m / scheme[d.class].budget_m).next_up();
+        let of_class = |d: &ClassDeviation| match d.bound_m {
+            0.0 => 0.0,
+            bound_m => (bound_m / scheme[d.class].budget_m).next_up(),
+        };
         let own_scale = made.classes.iter().map(of_class).fold(0.0, f64::max);
         let scale = children.iter().map(|c| c.scale).fold(own_scale, f64::max);
         let class_error = |d: &ClassDeviation| ClassError {

@@ -75,15 +75,6 @@ impl Classes {
         let n = self.scheme.len();
         &self.posterior[f * n..(f + 1) * n]
     }
-
-    /// The classes of faces that come from others: face i from `origin[i]`.
-    pub fn inherited(&self, origin: &[u32]) -> Self {
-        Self {
-            scheme: self.scheme.clone(),
-            posterior: origin.iter().flat_map(|&f| self.of(f as usize)).copied().collect(),
-            label: origin.iter().map(|&f| self.label[f as usize]).collect(),
-        }
-    }
 }
 
 /// Where the rules draw their lines. Lengths in metres.

@@ -1,4 +1,4 @@
-//! What a collapse did, in order: the one record of the block-wise and of the whole-mesh run.
+//! What a collapse did, in order.
 
 use glam::DVec3;
 
@@ -19,8 +19,6 @@ pub struct Collapse {
     pub position: DVec3,
     /// Energy at which it was done, m² · m² per squared budget.
     pub energy: f32,
-    /// Largest deviation of a sample it moved, as a share of that sample's limit at the step's scale.
-    pub share: f32,
 }
 
 /// What a run did. Vertices and faces have the numbers of the mesh that it began with.
@@ -33,8 +31,6 @@ pub struct CollapseLog {
     pub deviations_m: Vec<[f32; MOST_CLASSES]>,
     /// Faces that an event folded onto others, so that they are gone though their corners differ: event, face. In order.
     pub folded: Vec<(u32, u32)>,
-    /// Scale and number of events at the end of each step.
-    pub steps: Vec<(f64, usize)>,
 }
 
 impl CollapseLog {

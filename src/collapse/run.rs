@@ -371,18 +371,16 @@ impl<'a> Run<'a> {
         if !self.link_allows(u, v) || !self.faces_allow(u, v, p) {
             return Verdict::Done;
         }
-        let mut share = 0.0;
         if self.block.rules.limit != Limit::Untracked {
-            let Some(moved) = self.samples_allow().filter(|_| self.growing() || self.spans_allow()) else {
+            let Some(change) = self.samples_allow().filter(|_| self.growing() || self.spans_allow()) else {
                 return Verdict::TooFar;
             };
-            share = moved.share;
-            energy = energy.max(moved.change as f32);
+            energy = energy.max(change as f32);
             if stale(energy) && self.block.rules.energy == Energy::Memoryless {
                 self.queue.push(candidate, energy);
                 return Verdict::Done;
             }
-            if !self.grow(moved.change) {
+            if !self.grow(change) {
                 return Verdict::End;
             }
         } else {
@@ -392,7 +390,7 @@ impl<'a> Run<'a> {
                 return Verdict::Done;
             }
         }
-        self.perform(u, v, p, energy, share);
+        self.perform(u, v, p, energy);
         Verdict::Done
     }
 
@@ -446,7 +444,7 @@ impl<'a> Run<'a> {
         }
     }
 
-    fn perform(&mut self, u: u32, v: u32, p: DVec3, energy: f32, share: f32) {
+    fn perform(&mut self, u: u32, v: u32, p: DVec3, energy: f32) {
         let star = std::mem::take(&mut self.star);
         let ring = std::mem::take(&mut self.ring);
         let memoryless = self.block.rules.energy == Energy::Memoryless;
@@ -470,7 +468,7 @@ impl<'a> Run<'a> {
             }
         }
         self.note_folds(&star, u, v);
-        self.record(u, v, p, energy, share);
+        self.record(u, v, p, energy);
         self.vertices[u as usize].at = p;
         self.vertices[u as usize].flags |= self.vertices[v as usize].flags;
         let mut sum = Form::default();
@@ -608,13 +606,13 @@ impl<'a> Run<'a> {
         self.vertices[w as usize].form = SmallForm::of(&form);
     }
 
-    fn record(&mut self, u: u32, v: u32, position: DVec3, energy: f32, share: f32) {
+    fn record(&mut self, u: u32, v: u32, position: DVec3, energy: f32) {
         let id = |v: u32| self.block.vertex_ids.get(v as usize).copied().unwrap_or(v);
         let (kept, gone) = (id(u), id(v));
         let position = self.block.origin + position;
         self.count += 1;
         if self.block.rules.recorded || matches!(self.block.rules.limit, Limit::Scale(_)) {
-            self.log.push(Collapse { kept, gone, position, energy, share });
+            self.log.push(Collapse { kept, gone, position, energy });
         }
         if self.block.rules.recorded {
             let mut squared = [0f64; MOST_CLASSES];

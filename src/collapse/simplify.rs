@@ -318,12 +318,7 @@ impl<'a> Job<'a> {
             faces,
             labels: std::mem::take(&mut self.labels),
             grid_m: self.config.grid_m,
-            log: CollapseLog {
-                events: done.log,
-                deviations_m: done.deviations,
-                folded: done.folded,
-                steps: Vec::new(),
-            },
+            log: CollapseLog { events: done.log, deviations_m: done.deviations, folded: done.folded },
         }
     }
 }

@@ -41,21 +41,13 @@ pub(super) struct Move {
     pub squared_m2: f64,
 }
 
-/// What a collapse would do to the samples of its star.
-pub(super) struct Moved {
-    /// Largest deviation, as a share of that sample's limit.
-    pub share: f32,
-    /// Change of Σ weight · squared distance.
-    pub change: f64,
-}
-
 impl Run<'_> {
-    /// Finds the new face of every sample of the star, in the sample's own group; none if one would be further from its
-    /// group's surface than its limit.
-    pub(super) fn samples_allow(&mut self) -> Option<Moved> {
+    /// Finds the new face of every sample of the star, in the sample's own group, and the change of Σ weight · squared
+    /// distance; none if one would be further from its group's surface than its limit.
+    pub(super) fn samples_allow(&mut self) -> Option<f64> {
         let mut moved = std::mem::take(&mut self.moved);
         self.list_riders(&mut moved);
-        let (mut worst, mut change) = (0f64, 0.0);
+        let mut change = 0.0;
         let scale_squared = self.scale * self.scale;
         let allowed = moved.iter_mut().all(|step| {
             let rider = &self.riders[step.rider as usize];
@@ -65,13 +57,12 @@ impl Run<'_> {
             if squared > limit_squared {
                 return false;
             }
-            worst = worst.max(squared / limit_squared);
             change += f64::from(rider.weight) * (squared - f64::from(rider.squared_m2));
             (step.to, step.squared_m2) = (face, squared);
             true
         });
         self.moved = moved;
-        allowed.then_some(Moved { share: worst.sqrt() as f32, change })
+        allowed.then_some(change)
     }
 
     /// Lists the samples of the star: the first of every face, then the second, and so on, so that the waits for memory

@@ -21,6 +21,29 @@ pub enum LabelSource {
     File(Box<Source>, Names),
 }
 
+impl LabelSource {
+    /// Tells labels apart: a digest of all that can change a class.
+    pub(super) fn digest(&self) -> String {
+        let mut hash = blake3::Hasher::new();
+        let mut text = |text: &str| {
+            hash.update(&(text.len() as u64).to_le_bytes());
+            hash.update(text.as_bytes());
+        };
+        let (Self::Input(names) | Self::File(_, names)) = self;
+        names.iter().for_each(|(label, name)| text(&format!("{label} {name}")));
+        if let Self::File(source, _) = self {
+            source.materials.iter().for_each(|m| text(&m.name));
+            for part in &source.parts {
+                hash.update(bytemuck::cast_slice(&part.positions));
+                hash.update(bytemuck::cast_slice(&part.faces));
+                hash.update(bytemuck::cast_slice(&part.face_material));
+                hash.update(bytemuck::cast_slice(&part.face_labels));
+            }
+        }
+        hash.finalize().to_hex().to_string()
+    }
+}
+
 /// A face of ours takes the label of the nearest labelled face within this many median edges, and 0.1 m.
 const REACH_EDGES: f64 = 2.0;
 /// Above this z of its normal a face of a `building` without further word is roof, and below it wall: 17° from upright.

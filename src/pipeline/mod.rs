@@ -118,6 +118,7 @@ fn token(job: &Job) -> String {
         "inputs": job.inputs,
         "config": job.config,
         "georeference": job.georeference,
+        "labels": job.labels.as_ref().map(LabelSource::digest),
     }));
     blake3::hash(text.unwrap_or_default().as_bytes()).to_hex().to_string()
 }

@@ -106,7 +106,7 @@ fn random_sequence(seed: u64, n: u32, share: f64, wild: bool, half_edge: bool) -
         let mut deviation_m = [0f32; MAX_CLASSES];
         deviation_m[dice.below(4)] = i as f32 * 0.001 + dice.below(10) as f32 * 0.001;
         let energy = i as f32 * 0.1 + dice.below(3) as f32;
-        log.events.push(Collapse { kept, gone, position: at[kept as usize], energy, share: 0.0 });
+        log.events.push(Collapse { kept, gone, position: at[kept as usize], energy });
         log.deviations_m.push(deviation_m);
     }
     Sequence { positions, faces, labels, grid_m: GRID_M, log }
@@ -368,7 +368,7 @@ fn a_hub_of_many_faces_goes_there_and_back() {
     positions.extend((0..n).map(|i| snapped(DVec3::new(f64::from(i).cos(), f64::from(i).sin(), 0.1) * 50.0)));
     let faces: Vec<[u32; 3]> = (0..n).map(|i| [0, 1 + i, 1 + (i + 1) % n]).collect();
     let events = (0..150)
-        .map(|i| Collapse { kept: 2 + i, gone: 1 + i, position: positions[2 + i as usize], energy: 1.0, share: 0.0 })
+        .map(|i| Collapse { kept: 2 + i, gone: 1 + i, position: positions[2 + i as usize], energy: 1.0 })
         .collect();
     let labels = vec![ClassId(1); faces.len()];
     let log = CollapseLog { events, ..CollapseLog::default() };

@@ -122,13 +122,10 @@ impl Contents<'_> {
         if let Some(record) = self.store.read_file(&name)?.and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
             return Ok(record);
         }
-        let (made, faults) = self.made(tile, known)?;
-        let config = &self.job.config;
-        let options = self.glb_options();
+        let (made, file, faults) = self.made(tile, known)?;
         // Rounding to the compressed grid is an error like any other.
-        let rounding_m = if options.compress { write::quantization_error_m(&made.content) } else { 0.0 };
-        let glb = write::glb(&made.content, &config.classes, &options);
-        self.store.write_file(&content_name(tile), &glb)?;
+        let rounding_m = if self.job.config.write.compress { write::quantization_error_m(&made.content) } else { 0.0 };
+        self.store.write_file(&content_name(tile), &file)?;
         if !self.nodes[tile].is_leaf() {
             self.write_paint(tile, &made)?;
         }
@@ -140,7 +137,7 @@ impl Contents<'_> {
             ..c
         };
         let record = Record {
-            bytes: glb.len() as u64,
+            bytes: file.len() as u64,
             bounds: Aabb { min: made.bounds.min - outward, max: made.bounds.max + outward },
             geometry_m: made.geometry_m + rounding_m,
             texel_m: made.texel_m,
@@ -154,12 +151,8 @@ impl Contents<'_> {
         Ok(record)
     }
 
-    fn glb_options(&self) -> GlbOptions {
-        let write = &self.job.config.write;
-        GlbOptions { compress: write.compress, primitives_per_class: write.primitives_per_class }
-    }
-
-    fn made(&self, tile: usize, known: &[Option<Record>]) -> Result<(MadeTile, BTreeMap<u32, String>)> {
+    /// A tile, its file, and images it could not read.
+    fn made(&self, tile: usize, known: &[Option<Record>]) -> Result<(MadeTile, Vec<u8>, BTreeMap<u32, String>)> {
         let (node, hem, config) = (&self.nodes[tile], &self.hems[tile], self.job.config);
         let maker = Maker {
             scheme: &config.classes,
@@ -169,11 +162,14 @@ impl Contents<'_> {
             normals: config.write.normals,
             moved_m: self.city.moved_m,
         };
+        let options =
+            GlbOptions { compress: config.write.compress, primitives_per_class: config.write.primitives_per_class };
+        let encode = |content: &TileContent| write::glb(content, &config.classes, &options);
         if node.is_leaf() {
             let source = Reference { materials: self.city.materials.clone(), ..self.leaf_part(node.cell)? };
             let made = maker.make_leaf(&source, hem, &self.view(&source, Vec::new()))?;
-            let faults = self.faults(&source);
-            return Ok((made, faults));
+            let (file, faults) = (encode(&made.content), self.faults(&source));
+            return Ok((made, file, faults));
         }
         let (source, images) = self.reference(&node.children, known)?;
         let mesh = surface(self.store, tile)?;
@@ -184,11 +180,9 @@ impl Contents<'_> {
         } else {
             (config.texture.coarse_atlas_px, config.write.tile_bytes)
         };
-        let options = self.glb_options();
-        let bytes_of = |content: &TileContent| write::glb(content, &config.classes, &options).len() as u64;
-        let fit = Fit { atlas_px, most_bytes, bytes_of: &bytes_of };
-        let made = maker.make_inner(&mesh, &source, hem, &self.view(&source, images), &fit)?;
-        Ok((made, BTreeMap::new()))
+        let fit = Fit { atlas_px, most_bytes, encode: &encode };
+        let (made, file) = maker.make_inner(&mesh, &source, hem, &self.view(&source, images), &fit)?;
+        Ok((made, file, BTreeMap::new()))
     }
 
     /// Unreadable images that a leaf uses. Its making decoded them all, so this depends on nothing else.

@@ -113,8 +113,8 @@ pub struct Fit<'a> {
     pub atlas_px: u32,
     /// The tile's file has at most this many bytes, as far as a smaller texture can do it.
     pub most_bytes: u64,
-    /// Bytes of the file.
-    pub bytes_of: &'a dyn Fn(&TileContent) -> u64,
+    /// Encodes the file.
+    pub encode: &'a dyn Fn(&TileContent) -> Vec<u8>,
 }
 
 /// Atlases are not made smaller than this for the sake of bytes, texels.
@@ -122,8 +122,8 @@ const LEAST_ATLAS_PX: u32 = 256;
 
 impl Fit<'_> {
     /// The atlas side at which a tile too large with one of `side_px` should fit; none if it fits, or cannot.
-    fn smaller(&self, made: &MadeTile, side_px: u32) -> Option<u32> {
-        let bytes = (self.bytes_of)(&made.content);
+    fn smaller(&self, made: &MadeTile, file: &[u8], side_px: u32) -> Option<u32> {
+        let bytes = file.len() as u64;
         let atlas = made.content.atlas.as_ref().map_or(0, |a| a.len() as u64);
         if bytes <= self.most_bytes || atlas == 0 || side_px <= LEAST_ATLAS_PX {
             return None;
@@ -159,8 +159,8 @@ impl Maker<'_> {
         Ok(self.assemble(source, paint, quality, (0.0, self.moved_m), classes, hem))
     }
 
-    /// Makes an inner tile: the simplified surface, measured against what it stands for and painted from it. `images`
-    /// cover the reference.
+    /// Makes an inner tile and its file: the simplified surface, measured against what it stands for and painted from it.
+    /// `images` cover the reference.
     ///
     /// # Errors
     /// Only a broken promise of the texture stage.
@@ -171,7 +171,7 @@ impl Maker<'_> {
         hem: &Hem,
         images: &Images,
         fit: &Fit,
-    ) -> Result<MadeTile> {
+    ) -> Result<(MadeTile, Vec<u8>)> {
         let tree = Bvh::new(&source.positions, &source.faces);
         let (classes, geometry_m) = self.measure(mesh, source, &tree);
         let mut patch = Reference {
@@ -185,7 +185,9 @@ impl Maker<'_> {
         let quality = self.texture.coarse_jpeg_quality;
         if !source.is_painted() {
             patch.vertex_colors = nearest_colors(&mesh.positions, source, &tree);
-            return Ok(self.assemble(&patch, None, quality, (geometry_m, moved_m), classes, hem));
+            let made = self.assemble(&patch, None, quality, (geometry_m, moved_m), classes, hem);
+            let file = (fit.encode)(&made.content);
+            return Ok((made, file));
         }
         let texel_m = (geometry_m / self.texel_factor).max(source.surface().texel_m(images));
         let from = BakeSource { surface: source.surface(), bvh: &tree };
@@ -195,9 +197,10 @@ impl Maker<'_> {
             let paint = bake(&patch.surface(), &from, images, texel_m, &config)?;
             let side_px = paint.atlas.width().max(paint.atlas.height());
             let made = self.assemble(&patch, Some(paint), quality, (geometry_m, moved_m), classes.clone(), hem);
-            match fit.smaller(&made, side_px) {
+            let file = (fit.encode)(&made.content);
+            match fit.smaller(&made, &file, side_px) {
                 Some(px) => max_atlas_px = px,
-                None => return Ok(made),
+                None => return Ok((made, file)),
             }
         }
     }

@@ -27,6 +27,7 @@ pub mod front;
 pub mod given;
 mod hierarchy;
 mod ingest;
+mod join;
 mod labels;
 pub mod report;
 mod steps;

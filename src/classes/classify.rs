@@ -89,7 +89,7 @@ pub fn classify_measured(
     let neighbours = &scene.planes.neighbours;
     let base = || BASE.iter().map(|s| (*s).to_owned()).collect();
     let (sources, chances): (Vec<String>, Vec<f32>) = match config.table() {
-        None => (base(), robust(scene.mesh, scene.planes, neighbours, ground, config).into_flattened()),
+        None => (base(), robust(scene, neighbours, ground, config).into_flattened()),
         Some(table) => {
             let evidence = Evidence::of(measures, scene.mesh, table);
             (table.classes.clone(), posterior(scene.mesh, &evidence, table))

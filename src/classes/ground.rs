@@ -47,10 +47,15 @@ const MAX_SAMPLES: f64 = 4096.0;
 /// A height difference within 3 × 3 cells beyond this slope is a cliff: 63°.
 const CLIFF: f32 = 2.0;
 
-/// Empty cells around the mesh: closing a pit looks two cells far, and the border of a capture has to look the same
-/// wherever it lies. The fraction keeps models whose vertices have a grid of their own off the borders of cells, where
-/// rounding decides.
+/// Empty cells around the mesh beyond half the widest window: closing a pit looks two cells far, and the border of a
+/// capture has to look the same wherever it lies. The fraction keeps models whose vertices have a grid of their own off
+/// the borders of cells, where rounding decides.
 const MARGIN: f64 = 3.31;
+/// How far around the lowest is looked for that goes on beyond the border of the capture, metres. Of a street corner with
+/// trees at its border 87 % is right where the surface itself goes on, 93 % so; at 10 m slopes fall away too far.
+const BORDER_M: f64 = 5.0;
+/// What `max_cells` is at least: the margins alone take a hundred.
+pub(super) const MIN_CELLS: u32 = 1024;
 /// The grid lies askew to the walls, as far from along them as from diagonal: of a wall that follows a row of cells all
 /// cells or none have ground in them, of one that crosses rows every other one has.
 const ASKEW_DEG: f64 = 22.5;
@@ -65,6 +70,8 @@ pub struct Ground {
     along: DVec2,
     /// Lower left corner of cell (0, 0) from the anchor along the grid's axes, metres.
     corner: DVec2,
+    /// Number of the first cell along both axes of the lattice.
+    first: [i64; 2],
     cell_m: f64,
     per_m: f64,
     nx: usize,
@@ -89,7 +96,7 @@ impl Ground {
         ground.lowest = ground.lowest_surface(mesh, planes);
         let widest = ((0.5 * config.widest_building_m / ground.cell_m).ceil() as usize).max(1);
         let cell = ground.cell_m as f32;
-        let surface = fill(ground.lowest.clone(), ground.nx, ground.ny);
+        let surface = ground.surface();
         let allowed = vec![STEEPEST * cell + STEP_SLACK_M; surface.len()];
         let first = ground.without_objects(&surface, &allowed, widest);
         let slope = ground.slope(&first);
@@ -103,14 +110,14 @@ impl Ground {
     /// An empty grid with cells of a median edge (1 m to 3 m), coarser where the extent would need too many or most
     /// would be empty.
     fn grid(lattice: Option<Lattice>, mesh: &Mesh, planes: &Planes, config: &ClassesConfig) -> Self {
-        let own = || {
+        let is_part = lattice.is_some();
+        let Lattice { anchor, along, edge_m } = lattice.unwrap_or_else(|| {
             let first = mesh.positions.first().copied().unwrap_or(DVec3::ZERO);
-            Lattice::over(&planes.regions, first)
-        };
-        let Lattice { anchor: first, along } = lattice.unwrap_or_else(own);
+            Lattice::over(&planes.regions, first, planes.median_edge_m)
+        });
         let (mut low, mut high, mut least_z) = (DVec2::INFINITY, DVec2::NEG_INFINITY, f64::INFINITY);
         for p in &mesh.positions {
-            let q = turned(along, *p - first);
+            let q = turned(along, *p - anchor);
             (low, high, least_z) = (low.min(q), high.max(q), least_z.min(p.z));
         }
         if mesh.positions.is_empty() {
@@ -118,23 +125,23 @@ impl Ground {
         }
         let size = high - low;
         let worthwhile = 65_536.0 + 2.0 * mesh.faces.len() as f64;
-        let limit = f64::from(config.max_cells.max(16)).min(worthwhile);
-        let mut cell_m = planes.median_edge_m.clamp(1.0, 3.0);
+        let mut cell_m = edge_m.clamp(1.0, 3.0);
+        let margin = |cell: f64| (0.5 * config.widest_building_m / cell).ceil() + MARGIN;
         // A part may begin anywhere in a cell.
-        let ends = if lattice.is_some() { 2.0 } else { 1.0 };
-        let cells = |extent: f64, cell: f64| (extent / cell + 2.0 * MARGIN).floor() + ends;
-        while cells(size.x, cell_m) * cells(size.y, cell_m) > limit {
+        let ends = if is_part { 2.0 } else { 1.0 };
+        let cells = |extent: f64, cell: f64| (extent / cell + 2.0 * margin(cell)).floor() + ends;
+        let most = f64::from(config.max_cells.max(MIN_CELLS));
+        while size.x * size.y > worthwhile * cell_m * cell_m || cells(size.x, cell_m) * cells(size.y, cell_m) > most {
             cell_m *= 1.25;
         }
         // Parts of one lattice have their corners at whole cells of it.
-        let corner = match lattice {
-            None => low - MARGIN * cell_m,
-            Some(_) => ((low / cell_m - MARGIN).floor() + MARGIN.fract()) * cell_m,
-        };
+        let first = if is_part { (low / cell_m - margin(cell_m)).floor() } else { DVec2::ZERO };
+        let corner = if is_part { (first + MARGIN.fract()) * cell_m } else { low - margin(cell_m) * cell_m };
         Self {
-            anchor: first.with_z(lattice.map_or(least_z, |_| first.z)),
+            anchor: if is_part { anchor } else { anchor.with_z(least_z) },
             along,
             corner,
+            first: [first.x as i64, first.y as i64],
             cell_m,
             per_m: 1.0 / cell_m,
             nx: cells(size.x, cell_m) as usize,
@@ -356,7 +363,23 @@ impl Ground {
             opened = next;
         }
         let kept = surface.iter().zip(&is_object).map(|(z, cut)| if *cut { f32::INFINITY } else { *z });
-        fill(kept.collect(), nx, ny)
+        self.filled(kept.collect())
+    }
+
+    /// The lowest surface everywhere. Beyond the border of the capture what is lowest near the border goes on: a tree or
+    /// a house there must not look as if it went on, and so as ground.
+    fn surface(&self) -> Vec<f32> {
+        let (nx, ny) = (self.nx, self.ny);
+        let around = |reach: usize| extreme(&self.lowest, nx, ny, reach, lower);
+        let low = around(((BORDER_M / self.cell_m).round() as usize).max(1)).into_iter().zip(&self.lowest);
+        let beyond = self.filled(low.map(|(low, z)| if z.is_finite() { low } else { f32::INFINITY }).collect());
+        let within = self.filled(self.lowest.clone()).into_iter().zip(around(MARGIN as usize));
+        within.zip(beyond).map(|((z, near), beyond)| if near.is_finite() { z } else { beyond }).collect()
+    }
+
+    /// Heights with their holes filled.
+    fn filled(&self, height: Vec<f32>) -> Vec<f32> {
+        fill(height, self.nx, self.ny, self.first)
     }
 
     /// What the smoothed ground falls around a cell from one window to the next, metres per metre.
@@ -390,12 +413,14 @@ pub struct Lattice {
     anchor: DVec3,
     /// First axis.
     along: DVec2,
+    /// Median edge, metres.
+    edge_m: f64,
 }
 
 impl Lattice {
-    /// The lattice of a surface with these regions.
-    pub fn over(regions: &[Region], anchor: DVec3) -> Self {
-        Self { anchor, along: direction(regions, anchor) }
+    /// The lattice of a surface with these regions and this median edge.
+    pub fn over(regions: &[Region], anchor: DVec3, edge_m: f64) -> Self {
+        Self { anchor, along: direction(regions, anchor), edge_m }
     }
 }
 
@@ -479,7 +504,7 @@ mod tests {
         let planes = crate::planes::grow(&mesh, &crate::planes::PlanesConfig::default());
         for phase in [0.0, 0.3, 0.5, 0.8] {
             let anchor = DVec3::new(phase, 0.7 * phase, 0.0);
-            let lattice = Lattice::over(&planes.regions, anchor);
+            let lattice = Lattice::over(&planes.regions, anchor, 1.0);
             let ground = Ground::on(Some(lattice), &mesh, &planes, &ClassesConfig::default());
             for (x, y) in [(37.0, 36.0), (42.0, 42.0), (47.0, 48.0), (42.0, 48.0)] {
                 let z = slope(50.0) + 3.0 + 0.6 * (10.0 - (y - 42.0f64).abs());

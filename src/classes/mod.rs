@@ -97,7 +97,7 @@ pub struct ClassesConfig {
     pub foliage_spread: f64,
     /// The widest building that still stands on the ground, metres, 4 to 400. Default: 62. Wider means slower.
     pub widest_building_m: f64,
-    /// Limit of the ground grid's cells, ≥ 16. Default: 4 million.
+    /// Limit of the ground grid's cells, ≥ 1024. Default: 4 million.
     pub max_cells: u32,
     /// Strength of the mean field, 0 (off) to 20. Default: 3.
     pub smoothing: f64,
@@ -148,7 +148,7 @@ impl ClassesConfig {
             ("area_scale_m2", self.area_scale_m2, 1e-3, 1e6),
             ("foliage_spread", self.foliage_spread, 1e-3, 1.0),
             ("widest_building_m", self.widest_building_m, 4.0, 400.0),
-            ("max_cells", f64::from(self.max_cells), 16.0, f64::from(u32::MAX)),
+            ("max_cells", f64::from(self.max_cells), f64::from(ground::MIN_CELLS), f64::from(u32::MAX)),
             ("smoothing", self.smoothing, 0.0, 20.0),
             ("vote_area_m2", self.vote_area_m2, 0.0, 1e9),
             ("island_m2", self.island_m2, 0.0, 1e9),
@@ -167,17 +167,12 @@ impl ClassesConfig {
 /// # Panics
 /// If the scheme is empty, which its check refuses.
 pub fn label(mesh: &Mesh, planes: &Planes, scheme: &ClassScheme, config: &ClassesConfig) -> Classes {
-    classify(Scene { mesh, planes, face_colors: &[] }, scheme, config)
+    classify(Scene { mesh, planes, face_colors: &[], cut: &[] }, scheme, config)
 }
 
 /// Scores of terrain, façade, roof and clutter per face.
-fn robust(
-    mesh: &Mesh,
-    planes: &Planes,
-    neighbours: &[[u32; 3]],
-    ground: &Ground,
-    config: &ClassesConfig,
-) -> Vec<rules::Scores> {
+fn robust(scene: Scene, neighbours: &[[u32; 3]], ground: &Ground, config: &ClassesConfig) -> Vec<rules::Scores> {
+    let Scene { mesh, planes, .. } = scene;
     let mut features = features::Features::of(mesh, planes, ground);
     let region = |f: usize| match planes.face_region[f] {
         NONE => None,
@@ -188,7 +183,7 @@ fn robust(
     let normals = std::mem::take(&mut features.normals);
     drop(features);
     let mut field = smooth::smooth(mesh, planes, neighbours, normals, config, unary);
-    context::revise(mesh, planes, neighbours, ground, config, &mut field);
+    context::revise(scene, neighbours, ground, config, &mut field);
     field
 }
 

@@ -114,34 +114,39 @@ pub fn mean(z: &[f32], nx: usize, ny: usize, half: usize) -> Vec<f32> {
 }
 
 /// Interpolates infinite cells: averages go up a pyramid, come down bilinearly and are relaxed towards a membrane.
-pub fn fill(z: Vec<f32>, nx: usize, ny: usize) -> Vec<f32> {
+/// `first` are the numbers of the first cell: of cells 2 i and 2 i + 1 the pyramid makes one, so that grids that are parts
+/// of one lattice are filled alike.
+pub fn fill(z: Vec<f32>, nx: usize, ny: usize, first: [i64; 2]) -> Vec<f32> {
     if z.iter().all(|v| v.is_finite()) {
         return z;
     }
     if nx * ny == 1 {
         return vec![0.0];
     }
-    let (cx, cy) = (nx.div_ceil(2), ny.div_ceil(2));
+    // Two cells around zero would stay two for ever.
+    let first = if nx.max(ny) <= 2 { [0, 0] } else { first };
+    let odd = first.map(|n| n.rem_euclid(2) as usize);
+    let (cx, cy) = ((nx + odd[0]).div_ceil(2), (ny + odd[1]).div_ceil(2));
     let mut coarse = vec![f32::INFINITY; cx * cy];
     for (cell, out) in coarse.iter_mut().enumerate() {
-        let (i, j) = (2 * (cell % cx), 2 * (cell / cx));
-        let four = [(i, j), (i + 1, j), (i, j + 1), (i + 1, j + 1)];
-        let known = four.iter().filter(|(x, y)| *x < nx && *y < ny).map(|(x, y)| z[y * nx + x]);
+        let both = |p: usize, odd: usize, n: usize| (2 * p).saturating_sub(odd)..(2 * p + 2 - odd).min(n);
+        let (xs, ys) = (both(cell % cx, odd[0], nx), both(cell / cx, odd[1], ny));
+        let known = ys.flat_map(|y| xs.clone().map(move |x| y * nx + x)).map(|at| z[at]);
         let (sum, n) = known.filter(|v| v.is_finite()).fold((0.0, 0), |(s, n), v| (s + v, n + 1));
         if n > 0 {
             *out = sum / n as f32;
         }
     }
-    let coarse = fill(coarse, cx, cy);
+    let coarse = fill(coarse, cx, cy, first.map(|n| n.div_euclid(2)));
     let holes: Vec<usize> = (0..z.len()).filter(|&cell| !z[cell].is_finite()).collect();
     let mut out = z;
     for &cell in &holes {
-        let at = |p: usize, n: usize| {
-            let q = (p as f32 - 0.5) / 2.0;
+        let at = |p: usize, odd: usize, n: usize| {
+            let q = ((p + odd) as f32 - 0.5) / 2.0;
             let q = q.clamp(0.0, (n - 1) as f32);
             (q as usize, (q as usize + 1).min(n - 1), q.fract())
         };
-        let ((i, k, u), (j, l, v)) = (at(cell % nx, cx), at(cell / nx, cy));
+        let ((i, k, u), (j, l, v)) = (at(cell % nx, odd[0], cx), at(cell / nx, odd[1], cy));
         let lower = coarse[j * cx + i] * (1.0 - u) + coarse[j * cx + k] * u;
         let upper = coarse[l * cx + i] * (1.0 - u) + coarse[l * cx + k] * u;
         out[cell] = lower * (1.0 - v) + upper * v;
@@ -186,7 +191,7 @@ mod tests {
         let ramp: Vec<f32> = (0..nx * ny).map(|c| 0.5 * (c % nx) as f32).collect();
         let inside = |c: usize| (10..25).contains(&(c % nx)) && (8..20).contains(&(c / nx));
         let holed = (0..nx * ny).map(|c| if inside(c) { f32::INFINITY } else { ramp[c] }).collect();
-        let filled = fill(holed, nx, ny);
+        let filled = fill(holed, nx, ny, [0, 0]);
         let worst = filled.iter().zip(&ramp).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
         assert!(worst < 0.5, "{worst}");
     }

@@ -62,7 +62,7 @@ def main():
             out.write(vertices.tobytes() + faces.astype("<u4").tobytes())
         edges = vertices[faces] - vertices[np.roll(faces, -1, axis=1)]
         spacing = float(np.median(np.linalg.norm(edges, axis=2)))
-        lines = subprocess.run([peer, soup, str(spacing), "rg_mesh", "mesh_feat"],
+        lines = subprocess.run([peer, soup, str(spacing), "rg_mesh", "mesh_feat", "raw"],
                                capture_output=True, text=True, check=True).stdout
         stages = [json.loads(line) for line in lines.splitlines()]
     bench = ["cargo", "bench", "-q", "--bench", "front_end", "--", os.path.abspath(mesh)]

@@ -75,9 +75,9 @@ const FINISHED: &str = "ingest.json";
 /// quarter, a third of it when compressed.
 const FACE_BYTES: f64 = 27.0;
 const COMPRESSED_FACE_BYTES: f64 = 9.0;
-/// And a texel that it uses: 0.25 to 0.38 bytes of JPEG for each of the atlas, of which gutters and gaps are a sixth. A
-/// leaf copies its texels as they are, so one that is too heavy can only be split.
-const TEXEL_BYTES: f64 = 0.4;
+/// And a texel that it uses: 0.25 to 0.38 bytes of JPEG for each of the atlas, of which gutters and gaps are up to a
+/// quarter. A leaf copies its texels as they are, so one that is too heavy can only be split.
+const TEXEL_BYTES: f64 = 0.5;
 /// Faces cut at a time.
 const CUT_FACES: usize = 1 << 18;
 /// Images inside containers stay in memory up to this many bytes; beyond it they become files.

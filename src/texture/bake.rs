@@ -20,7 +20,7 @@ use super::chart::{Chart, charts};
 use super::images::Images;
 use super::mask::{Mask, fill, mean};
 use super::pack::fit;
-use super::raster::{Barycentric, centers};
+use super::raster::{Barycentric, ceil, centers, floor};
 use super::repack::no_room;
 use super::sample::Painter;
 use super::{Baked, GREY, Surface, TextureConfig, rms_texel_m};
@@ -382,22 +382,17 @@ impl Block {
 
     /// Offers a face of the source to the samples it covers.
     fn draw_source(&mut self, f: u32, &[a, b, c]: &[DVec3; 3], view: &View, search_m: f32) {
-        let tri = [view.pixel(a), view.pixel(b), view.pixel(c)];
-        let low = (tri[0].min(tri[1]).min(tri[2]) - 0.5 - EDGE_PX).ceil();
-        let high = (tri[0].max(tri[1]).max(tri[2]) - 0.5 + EDGE_PX).floor();
-        let size = self.size;
-        // Most faces of a fine source fall between the samples of a coarse tile.
-        if low.x > high.x
-            || low.y > high.y
-            || high.min_element() < 0.0
-            || low.x >= f64::from(size[0])
-            || low.y >= f64::from(size[1])
-        {
-            return;
-        }
         let cross = (b - a).cross(c - a);
         let facing = cross.dot(view.axes[2]);
         if facing <= 0.0 || facing * facing <= MIN_FACING_SQUARED * cross.length_squared() {
+            return;
+        }
+        let tri = [view.pixel(a), view.pixel(b), view.pixel(c)];
+        let low = (tri[0].min(tri[1]).min(tri[2]) - 0.5 - EDGE_PX).to_array().map(ceil);
+        let high = (tri[0].max(tri[1]).max(tri[2]) - 0.5 + EDGE_PX).to_array().map(floor);
+        let size = self.size;
+        // Most faces of a fine source fall between the samples of a coarse tile.
+        if (0..2).any(|k| low[k] > high[k] || high[k] < 0 || low[k] >= i64::from(size[k])) {
             return;
         }
         let depths = [a, b, c].map(|p| view.depth(p));

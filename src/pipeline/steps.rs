@@ -27,7 +27,7 @@ use crate::{Error, Result};
 /// each than what is classified.
 const ITEMS_PER_FACE: u64 = 2;
 
-/// A window is cut into so many blocks at least, or it would be collapsed by one thread; but into none smaller than …
+/// A window is cut into so many blocks at least, or the coarse steps would be one thread's; but into none smaller than …
 const LEAST_BLOCKS: usize = 8;
 /// … this, for their borders are locked.
 const SMALL_BLOCK_FACES: usize = 25_000;

@@ -57,10 +57,12 @@ pub enum Error {
         source: std::io::Error,
     },
     /// The user asked to stop.
-    #[error("stopped by signal {signal}; nothing was left behind")]
+    #[error("stopped by signal {signal}; {}", left(*resumable))]
     Cancelled {
         /// 2 (SIGINT) or 15 (SIGTERM).
         signal: i32,
+        /// What was done so far is kept for `--resume`.
+        resumable: bool,
     },
     /// A promise of ours was broken.
     #[error("internal error, please report it: {0}")]
@@ -76,6 +78,14 @@ pub enum Place {
     Line(u64),
     /// A byte offset, from 0.
     Byte(u64),
+}
+
+fn left(resumable: bool) -> &'static str {
+    if resumable {
+        "the work so far is kept: the same command with --resume goes on from there, without it the build begins afresh"
+    } else {
+        "nothing was left behind"
+    }
 }
 
 fn place(at: Place) -> String {
@@ -116,7 +126,7 @@ impl Error {
             Self::Io { source, action: "read", .. } if source.kind() == std::io::ErrorKind::NotFound => 3,
             Self::Io { .. } => 6,
             Self::Bug(_) => 7,
-            Self::Cancelled { signal } => 128 + *signal as u8,
+            Self::Cancelled { signal, .. } => 128 + *signal as u8,
         }
     }
 }

@@ -114,7 +114,7 @@ impl Reporter {
     pub fn check(&self) -> Result<()> {
         match STOP_SIGNAL.load(Ordering::Relaxed) {
             0 => Ok(()),
-            signal => Err(Error::Cancelled { signal: signal as i32 }),
+            signal => Err(Error::Cancelled { signal: signal as i32, resumable: false }),
         }
     }
 

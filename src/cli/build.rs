@@ -45,7 +45,8 @@ pub struct Args {
     /// machine's.
     #[arg(long, value_name = "BYTES")]
     memory: Option<String>,
-    /// Go on with what a killed run, or one whose disk was full, left beside the output.
+    /// Go on with what a run that was stopped or killed, or whose disk was full, left beside the output; without this a
+    /// build begins afresh.
     #[arg(long)]
     resume: bool,
     /// Follow paths in the input that lead out of its folder.

@@ -8,6 +8,12 @@
 //! [`LevelsConfig::reference_faces`](crate::tiles::LevelsConfig); a larger one against the finest tiles below it that
 //! together have no more. So no tile needs more than a fixed amount of memory, and its error is at most a few finer
 //! tiles' errors too large. All tiles of the first kind can be made at the same time, the others level by level.
+//!
+//! # Cost
+//! Of a build of a scan (0.77 million triangles, 275 images, one thread) the collapse takes 32 %, distances 28 %, the bake
+//! 18 %, ingest 8 %, classes 3 %, masks of used texels 2 %, coding and decoding JPEG 3 %, trees, mips, leaves and GLB 4 %.
+//! Every level is measured and painted from the source itself: finer tiles in its place would be cheaper, but what one
+//! class lost there would count for all of them.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicUsize, Ordering};

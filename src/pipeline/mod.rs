@@ -86,7 +86,7 @@ pub fn build(source: Source, job: &Job, reporter: &Reporter) -> Result<BuildRepo
 pub struct Resources {
     /// Memory, bytes. Default: a third of the machine's.
     pub memory: u64,
-    /// Go on with what a killed run of the same inputs and settings left.
+    /// Go on with what a run of the same inputs and settings left that was stopped or killed.
     pub resume: bool,
 }
 
@@ -99,17 +99,24 @@ impl Default for Resources {
 /// Builds a tileset from a source of any size, in bounded memory.
 ///
 /// # Errors
-/// Those of [`build`]. After a failure of the disk the work done stays beside the output, for [`Resources::resume`].
+/// Those of [`build`]. After a failure of the disk, or a wish to stop once files have been read, the work done stays
+/// beside the output, for [`Resources::resume`].
 pub fn build_from(feed: Feed, job: &Job, resources: &Resources, reporter: &Reporter) -> Result<BuildReport> {
     let output = Output::begin(job.out, job.force)?;
     let store = Store::open(output.beside(".work"), &token(job), resources.resume)?;
+    let is_repeatable = matches!(feed, Feed::Files(..));
     let built = build_in(feed, job, resources, output, &store, reporter);
-    match &built {
+    match built {
         // Trying again may help, and then need not begin at the beginning.
-        Err(Error::Io { .. }) => {}
-        _ => store.discard(),
+        Err(Error::Io { .. }) => built,
+        Err(Error::Cancelled { signal, .. }) if is_repeatable && !store.is_empty() => {
+            Err(Error::Cancelled { signal, resumable: true })
+        }
+        _ => {
+            store.discard();
+            built
+        }
     }
-    built
 }
 
 /// Tells builds apart: whatever changes a byte of a page is in it.

@@ -27,6 +27,11 @@ use crate::{Error, Result};
 /// each than what is classified.
 const ITEMS_PER_FACE: u64 = 2;
 
+/// A window is cut into so many blocks at least, or the coarse steps would be one thread's; but into none smaller than …
+const LEAST_BLOCKS: usize = 8;
+/// … this, for their borders are locked.
+const SMALL_BLOCK_FACES: usize = 25_000;
+
 /// The current surface, cell by cell.
 pub(super) struct Steps<'a> {
     city: &'a City,
@@ -174,12 +179,15 @@ impl<'a> Steps<'a> {
             tree.touching(p.truncate(), depth, |c| outside |= !is_inside(c) && self.state.contains_key(&c));
             outside
         };
-        let (patches, collapses) = step(patches?, &boxes, is_locked, settings);
+        let patches = patches?;
+        let faces: usize = patches.iter().map(|p| p.faces.len()).sum();
+        let block_faces = (faces / LEAST_BLOCKS).max(SMALL_BLOCK_FACES).min(settings.block_faces);
+        let (patches, collapses) = step(patches, &boxes, is_locked, &StepSettings { block_faces, ..*settings });
         let write = |(i, (w, patch)): (usize, (&Weighed, Patch))| {
             // The first cell's page carries the count of its window.
             self.write(page, w.cell, &patch, if i == 0 { collapses } else { 0 }).map(|state| (w.cell, state))
         };
-        let made: Result<Vec<_>> = window.iter().zip(patches).enumerate().map(write).collect();
+        let made: Result<Vec<_>> = window.par_iter().zip(patches).enumerate().map(write).collect();
         Ok((made?, collapses))
     }
 

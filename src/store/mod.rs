@@ -52,6 +52,12 @@ impl Store {
         Ok(Self { dir })
     }
 
+    /// True while nothing was put into it.
+    pub fn is_empty(&self) -> bool {
+        let mut entries = fs::read_dir(&self.dir).into_iter().flatten().flatten();
+        entries.all(|entry| entry.file_name() == TOKEN)
+    }
+
     /// Where a page or a file of this name is.
     pub fn path(&self, name: &str) -> PathBuf {
         self.dir.join(name)

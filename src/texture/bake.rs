@@ -20,7 +20,7 @@ use super::chart::{Chart, charts};
 use super::images::Images;
 use super::mask::{Mask, fill, mean};
 use super::pack::fit;
-use super::raster::{Barycentric, centers};
+use super::raster::{Barycentric, ceil, centers, floor};
 use super::repack::no_room;
 use super::sample::Painter;
 use super::{Baked, GREY, Surface, TextureConfig, rms_texel_m};
@@ -271,14 +271,12 @@ impl View {
         self.axes[0] * plane.x + self.axes[1] * plane.y + self.axes[2] * depth
     }
 
-    /// The box in local metres around a range of samples and depths, `search_m` deeper both ways.
+    /// The box around a range of samples and depths, `search_m` deeper both ways: centre and half its sides along the
+    /// axes, metres.
     fn box_around(&self, range: Range, search_m: f64) -> (DVec3, DVec3) {
         let center = self.point((range.low + range.high) / 2.0, (range.near + range.far) / 2.0);
         let half = (range.high - range.low) / 2.0 * self.sample_m;
-        let reach = self.axes[0].abs() * half.x
-            + self.axes[1].abs() * half.y
-            + self.axes[2].abs() * ((range.near - range.far) / 2.0 + search_m);
-        (center - reach, center + reach)
+        (center, half.extend((range.near - range.far) / 2.0 + search_m))
     }
 }
 
@@ -370,8 +368,9 @@ impl Block {
     fn find_source(&mut self, source: &BakeSource, view: &View, range: Range, search_m: f64) {
         const CLOSE: f64 = 1.0 / 8.0;
         for reach_m in [search_m * CLOSE, search_m] {
-            let (min, max) = view.box_around(range, reach_m);
-            source.bvh.overlapping(min, max, &mut |f| self.draw_source(&source.surface, f, view, reach_m as f32));
+            let (center, half) = view.box_around(range, reach_m);
+            let reach_m = reach_m as f32;
+            source.bvh.overlapping_turned(center, &view.axes, half, &mut |f, c| self.draw_source(f, c, view, reach_m));
             let own = self.depth.iter().filter(|depth| !depth.is_nan()).count();
             let found = self.face.iter().filter(|&&face| face != NONE).count();
             // The rest is cheaper to look up one by one.
@@ -382,24 +381,18 @@ impl Block {
     }
 
     /// Offers a face of the source to the samples it covers.
-    fn draw_source(&mut self, source: &Surface, f: u32, view: &View, search_m: f32) {
-        let [a, b, c] = source.corners(f as usize);
-        let tri = [view.pixel(a), view.pixel(b), view.pixel(c)];
-        let low = (tri[0].min(tri[1]).min(tri[2]) - 0.5 - EDGE_PX).ceil();
-        let high = (tri[0].max(tri[1]).max(tri[2]) - 0.5 + EDGE_PX).floor();
-        let size = self.size;
-        // Most faces of a fine source fall between the samples of a coarse tile.
-        if low.x > high.x
-            || low.y > high.y
-            || high.min_element() < 0.0
-            || low.x >= f64::from(size[0])
-            || low.y >= f64::from(size[1])
-        {
-            return;
-        }
+    fn draw_source(&mut self, f: u32, &[a, b, c]: &[DVec3; 3], view: &View, search_m: f32) {
         let cross = (b - a).cross(c - a);
         let facing = cross.dot(view.axes[2]);
         if facing <= 0.0 || facing * facing <= MIN_FACING_SQUARED * cross.length_squared() {
+            return;
+        }
+        let tri = [view.pixel(a), view.pixel(b), view.pixel(c)];
+        let low = (tri[0].min(tri[1]).min(tri[2]) - 0.5 - EDGE_PX).to_array().map(ceil);
+        let high = (tri[0].max(tri[1]).max(tri[2]) - 0.5 + EDGE_PX).to_array().map(floor);
+        let size = self.size;
+        // Most faces of a fine source fall between the samples of a coarse tile.
+        if (0..2).any(|k| low[k] > high[k] || high[k] < 0 || low[k] >= i64::from(size[k])) {
             return;
         }
         let depths = [a, b, c].map(|p| view.depth(p));

@@ -11,7 +11,7 @@ use std::collections::HashMap;
 use glam::{DVec3, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 
-use super::error::{Deviation, Figures, Surface as Measured, directed};
+use super::error::{Deviation, Figures, Surface as Measured, from_source, from_tile};
 use super::levels::TileMesh;
 use super::skirt::Hem;
 use crate::Result;
@@ -209,8 +209,8 @@ impl Maker<'_> {
         let count = self.scheme.len();
         let fine = Measured { positions: &source.positions, faces: &source.faces, labels: &source.labels };
         let coarse = Measured { positions: &mesh.positions, faces: &mesh.faces, labels: &mesh.labels };
-        let forward = directed(fine, coarse, &Bvh::new(&mesh.positions, &mesh.faces), count, true);
-        let backward = directed(coarse, fine, source_tree, count, false);
+        let forward = from_source(fine, coarse, &Bvh::new(&mesh.positions, &mesh.faces), count);
+        let backward = from_tile(coarse, fine, source_tree, &known(&forward, &source.apart));
         let apart = chained(&forward, &backward, &source.apart);
         let both = forward.into_iter().zip(backward).map(|(f, b)| Deviation::two_sided(f, b));
         let classes: Vec<ClassDeviation> = (self.scheme.ids().zip(both).zip(apart))
@@ -354,6 +354,14 @@ fn chained(forward: &[Deviation], backward: &[Deviation], apart: &[Apart]) -> Ve
         None => Apart { bound_m: f.upper_m.max(b.upper_m), inside_m: f.inside_m, sunk_m: f.sunk_m },
     };
     forward.iter().zip(backward).enumerate().map(of_class).collect()
+}
+
+/// Per class, how far the tile may be from the reference without adding to what the other direction says already.
+fn known(forward: &[Deviation], apart: &[Apart]) -> Vec<f64> {
+    let blank = vec![Deviation::default(); forward.len()];
+    let reference_m = apart.iter().map(|a| a.bound_m).fold(0.0, f64::max);
+    // Rounded down: the sum of both is not to be more than what is known.
+    chained(forward, &blank, apart).iter().map(|a| ((a.bound_m - reference_m) * (1.0 - 1e-12)).max(0.0)).collect()
 }
 
 impl Reference {

@@ -3,16 +3,24 @@
 //! In: two triangle sets with classes. Out: [`Deviation`] per class.
 //!
 //! # Method
-//! 1. *Measure.* Source: distances at the centres of about 50 000 of its faces, weighted by their area. Tile, whose
+//! 1. *Measure.* Source: distances at the centres of about 20 000 of its faces, weighted by their area. Tile, whose
 //!    faces are large: distances at the centres of equal parts of each face.
-//! 2. *Bound.* Distance is 1-Lipschitz: d(corner) + longest edge there bounds a face. Where that is not enough: the
-//!    distance to a triangle is convex, so the largest of the corners' distances to one triangle T of the other surface
-//!    bounds the whole face; the least of these over the triangles nearest to the corners is taken.
-//! 3. Faces whose bound passes the largest distance seen by more than the tolerance are quartered until it does not.
+//! 2. *Bound.* The distance to a triangle is convex, so the largest of the corners' distances to one triangle T of the
+//!    other surface bounds the whole face. Distance is 1-Lipschitz: with the corners' own distances and the radius in
+//!    which they cover the face, that bounds it too.
+//! 3. Of the source, a T that bounded a neighbour is tried before anything is searched for.
+//! 4. Faces whose bound passes the largest distance seen by more than the tolerance are quartered until it does not.
+//!    Back from the tile, what is nearer than the distance there is left as it is: a class's bound is the larger of both.
 //!
 //! # Promises
 //! `lower ≤ sup distance ≤ upper` for each direction (`the_interval_holds_the_dense_sample`); upper − lower is within
 //! [`TOLERANCE_SHARE`] of lower, or [`TOLERANCE_M`], except where [`DEEPEST`] stopped the quartering.
+//!
+//! # Cost
+//! On a scan of 0.77 million faces 28 % of a build, half of it each way; against the collapse, in one run each, 0.92 where
+//! a search for every vertex and every part took 1.10. Back from the tile a face is larger than those of the source: no
+//! triangle bounds it, and it takes about 20 searches before its parts are small enough. A walk over the source's faces
+//! below it would not.
 //!
 //! # References
 //! Guéziec, Meshsweeper, 1999 (convexity); Sacht & Jacobson, Cascading upper bounds for triangle soup Pompeiu–Hausdorff
@@ -31,8 +39,8 @@ pub const TOLERANCE_SHARE: f64 = 0.05;
 pub const TOLERANCE_M: f64 = 0.001;
 /// A face is quartered at most this often.
 pub const DEEPEST: u32 = 7;
-/// About so many faces of the source are measured in a tile, at least half of them.
-const SOURCE_SAMPLES: usize = 50_000;
+/// So many faces of the source are measured in a tile where it has them, and at most twice as many.
+const SOURCE_SAMPLES: usize = 20_000;
 /// A large face is measured at up to this many points along an edge.
 const MOST_PARTS: usize = 12;
 
@@ -59,6 +67,8 @@ pub struct Deviation {
     pub inside_m: f64,
     /// How much lower than the source it is (certified). Of the source only.
     pub sunk_m: f64,
+    /// Bounds below this are good enough: another direction is known to be this far off.
+    known_m: f64,
     /// Distance and weight (m²) of every sample, unordered.
     samples: Vec<(f32, f32)>,
 }
@@ -91,6 +101,7 @@ impl Deviation {
             lower_m: forward.lower_m.max(backward.lower_m),
             inside_m: forward.inside_m,
             sunk_m: forward.sunk_m,
+            known_m: 0.0,
             samples,
         }
     }
@@ -121,30 +132,43 @@ impl Deviation {
     }
 }
 
-/// From every point of `from` to `to`: per class of `from`, for `classes` classes.
-///
-/// `fine` says that `from` is the source: its faces are small, and `inside_m` and `sunk_m` are filled.
-pub fn directed(from: Surface, to: Surface, tree: &Bvh, classes: usize, fine: bool) -> Vec<Deviation> {
+/// From every point of the source to the tile: per class of the source, for `classes` classes.
+pub fn from_source(source: Surface, tile: Surface, tree: &Bvh, classes: usize) -> Vec<Deviation> {
     let mut found = vec![Deviation::default(); classes];
-    let hits = vertex_hits(from, to, tree);
-    if fine {
-        measure_source(from, to, tree, &hits, &mut found);
-    } else {
-        measure_faces(from, to, tree, &hits, &mut found);
-    }
-    let corners = |face: &[u32; 3]| face.map(|v| Corner { at: from.positions[v as usize], hit: hits[v as usize] });
-    for (face, label) in from.faces.iter().zip(from.labels) {
-        let lower = &mut found[label.index()].lower_m;
-        *lower = corners(face).iter().map(|c| c.hit.distance).fold(*lower, f64::max);
-    }
-    let mut search = Search { to, tree, pending: Vec::new() };
-    for (face, label) in from.faces.iter().zip(from.labels) {
-        search.file(corners(face), label.index(), &mut found);
+    measure_source(source, tile, tree, &mut found);
+    let mut near = Near::new(source, tile, tree);
+    let mut search = Search::new(tile, tree);
+    let mut roughly = Vec::with_capacity(source.faces.len());
+    for (f, face) in source.faces.iter().enumerate() {
+        let class = source.labels[f].index();
+        let value_m = near.settle(face, &mut found[class]);
+        if value_m.is_none() {
+            search.file(near.corners(face), class, &mut found);
+        }
+        roughly.push(value_m.unwrap_or([f32::INFINITY; 2]));
     }
     search.close(&mut found);
-    if fine {
-        signed::bound(from, to, tree, &hits, &mut found);
+    signed::bound(&mut near, &mut roughly, &mut found);
+    found
+}
+
+/// From every point of the tile to the source: per class of the tile. Of each class, nothing is looked at more closely
+/// that is nearer than `known_m`: with the distance from the source, which counts for the same bound, nobody would see
+/// it.
+pub fn from_tile(tile: Surface, source: Surface, tree: &Bvh, known_m: &[f64]) -> Vec<Deviation> {
+    let mut found: Vec<Deviation> =
+        known_m.iter().map(|&known_m| Deviation { known_m, ..Deviation::default() }).collect();
+    let mut near = Near::new(tile, source, tree);
+    for (face, label) in tile.faces.iter().zip(tile.labels) {
+        let lower = &mut found[label.index()].lower_m;
+        *lower = near.corners(face).iter().map(|c| c.hit.distance).fold(*lower, f64::max);
     }
+    measure_faces(tile, source, tree, &near.hits, &mut found);
+    let mut search = Search::new(source, tree);
+    for (face, label) in tile.faces.iter().zip(tile.labels) {
+        search.file(near.corners(face), label.index(), &mut found);
+    }
+    search.close(&mut found);
     found
 }
 
@@ -154,46 +178,108 @@ pub(super) struct Corner {
     pub hit: Hit,
 }
 
-fn vertex_hits(from: Surface, to: Surface, tree: &Bvh) -> Vec<Hit> {
-    let far = Hit { face: u32::MAX, point: DVec3::ZERO, distance: f64::INFINITY };
-    let mut hits = vec![far; from.positions.len()];
-    for face in from.faces {
-        let mut near: Option<u32> = None;
-        for &v in face {
-            let v = v as usize;
-            if hits[v].face == u32::MAX {
-                hits[v] = closest(from.positions[v], near, to, tree);
-            }
-            near = Some(hits[v].face);
-        }
+const FAR: Hit = Hit { face: u32::MAX, point: DVec3::ZERO, distance: f64::INFINITY };
+
+/// What is known of the vertices of one surface about another, found when it is asked for.
+pub(super) struct Near<'a> {
+    pub from: Surface<'a>,
+    pub to: Surface<'a>,
+    pub tree: &'a Bvh,
+    /// The closest point of each vertex, or [`FAR`].
+    hits: Vec<Hit>,
+    /// A triangle thought to be near each vertex.
+    guess: Vec<u32>,
+    last: u32,
+}
+
+impl<'a> Near<'a> {
+    fn new(from: Surface<'a>, to: Surface<'a>, tree: &'a Bvh) -> Self {
+        let count = from.positions.len();
+        Self { from, to, tree, hits: vec![FAR; count], guess: vec![u32::MAX; count], last: u32::MAX }
     }
-    hits
+
+    /// A vertex with its closest point.
+    fn corner(&mut self, v: u32) -> Corner {
+        let (v, at) = (v as usize, self.from.positions[v as usize]);
+        if self.hits[v].face == u32::MAX {
+            let near = if self.guess[v] == u32::MAX { self.last } else { self.guess[v] };
+            self.hits[v] = closest(at, Some(near), self.to, self.tree);
+            (self.guess[v], self.last) = (self.hits[v].face, self.hits[v].face);
+        }
+        Corner { at, hit: self.hits[v] }
+    }
+
+    /// The corners of a face with their closest points.
+    pub fn corners(&mut self, face: &[u32; 3]) -> [Corner; 3] {
+        face.map(|v| self.corner(v))
+    }
+
+    /// Bounds a face by one triangle near it, where that is good enough, and returns what [`signed`] wants to know: how
+    /// far that triangle is inside and below the face at most. Most faces need no search at all, for the largest
+    /// distance is far above the usual, and one triangle of the tile has many faces of the source.
+    fn settle(&mut self, face: &[u32; 3], found: &mut Deviation) -> Option<[f32; 2]> {
+        let enough_m = good(found);
+        let corners = face.map(|v| self.from.positions[v as usize]);
+        let [a, b, c] = face.map(|v| self.guess[v as usize]);
+        for k in 0..6 {
+            // What stands for a neighbour mostly does here; if not, what is closest to a corner may.
+            let near = match k {
+                0 => a,
+                1 if b != a => b,
+                2 if c != a && c != b => c,
+                3.. => {
+                    let corner = self.corner(face[k - 3]);
+                    found.lower_m = found.lower_m.max(corner.hit.distance);
+                    corner.hit.face
+                }
+                _ => continue,
+            };
+            if near == u32::MAX {
+                continue;
+            }
+            let triangle = self.to.faces[near as usize].map(|v| self.to.positions[v as usize]);
+            let mut offsets = [DVec3::ZERO; 3];
+            let mut squared = 0.0f64;
+            for (offset, p) in offsets.iter_mut().zip(corners) {
+                *offset = p - closest_on_triangle(p, &triangle);
+                squared = squared.max(offset.length_squared());
+                if squared > enough_m * enough_m {
+                    break;
+                }
+            }
+            if squared <= enough_m * enough_m {
+                face.iter().for_each(|&v| self.guess[v as usize] = near);
+                self.last = near;
+                found.upper_m = found.upper_m.max(squared.sqrt());
+                return Some(signed::rough(corners, offsets));
+            }
+        }
+        None
+    }
 }
 
 /// The closest point, searched no further than the face that was closest nearby.
 pub(super) fn closest(p: DVec3, near: Option<u32>, to: Surface, tree: &Bvh) -> Hit {
-    let none = Hit { face: u32::MAX, point: p, distance: f64::INFINITY };
     let known = near.filter(|&f| f != u32::MAX).map(|face| {
         let point = closest_on_triangle(p, &to.faces[face as usize].map(|v| to.positions[v as usize]));
         Hit { face, point, distance: (point - p).length() }
     });
     let max = known.map_or(f64::INFINITY, |k| k.distance);
-    tree.closest(p, max).or(known).unwrap_or(none)
+    tree.closest(p, max).or(known).unwrap_or(FAR)
 }
 
 /// The source: the centre of one face in every few, which stands for all of them without bias; vertices would show the
 /// surface where the collapse held it.
-fn measure_source(from: Surface, to: Surface, tree: &Bvh, hits: &[Hit], found: &mut [Deviation]) {
+fn measure_source(from: Surface, to: Surface, tree: &Bvh, found: &mut [Deviation]) {
     let stride = (from.faces.len() / SOURCE_SAMPLES).max(1);
-    for (f, face) in from.faces.iter().enumerate() {
+    let mut near = None;
+    for (face, label) in from.faces.iter().zip(from.labels).step_by(stride) {
         let [a, b, c] = face.map(|v| from.positions[v as usize]);
-        let cross = (b - a).cross(c - a);
-        let deviation = &mut found[from.labels[f].index()];
-        if f % stride == 0 {
-            let hit = closest((a + b + c) / 3.0, Some(hits[face[0] as usize].face), to, tree);
-            deviation.lower_m = deviation.lower_m.max(hit.distance);
-            deviation.samples.push((hit.distance as f32, (cross.length() * 0.5) as f32));
-        }
+        let hit = closest((a + b + c) / 3.0, near, to, tree);
+        near = Some(hit.face);
+        let deviation = &mut found[label.index()];
+        deviation.lower_m = deviation.lower_m.max(hit.distance);
+        deviation.samples.push((hit.distance as f32, ((b - a).cross(c - a).length() * 0.5) as f32));
     }
 }
 
@@ -203,8 +289,8 @@ fn measure_faces(from: Surface, to: Surface, tree: &Bvh, hits: &[Hit], found: &m
         (b - a).cross(c - a).length() * 0.5
     };
     let total: f64 = from.faces.iter().map(area).sum();
-    // About four samples a face on average, more where a face is large.
-    let part_area = total / (4.0 * from.faces.len() as f64).max(1.0);
+    // About two samples a face on average, more where a face is large.
+    let part_area = total / (from.faces.len() as f64).max(1.0);
     for (f, face) in from.faces.iter().enumerate() {
         let [a, b, c] = face.map(|v| from.positions[v as usize]);
         let own = area(face);
@@ -232,9 +318,34 @@ struct Search<'a> {
     to: Surface<'a>,
     tree: &'a Bvh,
     pending: Vec<(f64, usize, [Corner; 3], u32)>,
+    /// Middles found lately, by a hash of their place: the parts of a face ask for each of them twice.
+    lately: Vec<Lately>,
 }
 
-impl Search<'_> {
+/// A point with what was found for it; the closest if that is further than was enough.
+#[derive(Clone, Copy)]
+struct Lately {
+    corner: Corner,
+    enough_m: f64,
+}
+
+/// Middles that are remembered, a power of two.
+const MOST_LATELY: usize = 1 << 10;
+
+fn place_of(p: DVec3) -> usize {
+    let mixed = p
+        .to_array()
+        .into_iter()
+        .fold(0u64, |h, x| (h ^ x.to_bits()).wrapping_mul(0x9E37_79B9_7F4A_7C15).rotate_left(29));
+    (mixed >> 32) as usize & (MOST_LATELY - 1)
+}
+
+impl<'a> Search<'a> {
+    fn new(to: Surface<'a>, tree: &'a Bvh) -> Self {
+        let corner = Corner { at: DVec3::INFINITY, hit: FAR };
+        Self { to, tree, pending: Vec::new(), lately: vec![Lately { corner, enough_m: 0.0 }; MOST_LATELY] }
+    }
+
     /// An upper bound of the distance anywhere on the triangle; not made tighter once it is below `enough`.
     fn upper(&self, corners: &[Corner; 3], enough: f64) -> f64 {
         if corners.iter().any(|c| c.hit.face == u32::MAX) {
@@ -245,7 +356,9 @@ impl Search<'_> {
             let others = [corners[(k + 1) % 3].at, corners[(k + 2) % 3].at];
             others.iter().map(|p| (*p - corners[k].at).length()).fold(0.0, f64::max)
         };
-        let mut best = (0..3).map(|k| corners[k].hit.distance + reach(k)).fold(f64::INFINITY, f64::min);
+        let furthest_m = corners.iter().map(|c| c.hit.distance).fold(0.0, f64::max);
+        let by_nearest_m = furthest_m + cover_radius(corners);
+        let mut best = (0..3).map(|k| corners[k].hit.distance + reach(k)).fold(by_nearest_m, f64::min);
         for (k, c) in corners.iter().enumerate() {
             if best <= enough || corners[..k].iter().any(|e| e.hit.face == c.hit.face) {
                 continue;
@@ -261,6 +374,53 @@ impl Search<'_> {
             best = best.min(worst.fold(0.0, f64::max));
         }
         best
+    }
+
+    /// An upper bound by way of the centre: the triangle that is nearest there, where corners lie on edges and say too
+    /// little, or the three parts around it. One search, where quartering takes three.
+    fn by_centre(&self, corners: &[Corner; 3], radius: f64, depth: u32, found: &mut Deviation) -> f64 {
+        // Parts of an even triangle are covered from 0.58 times as far, but corners are as far as they are.
+        let furthest_m = corners.iter().map(|c| c.hit.distance).fold(0.0, f64::max);
+        let is_hopeless = 0.5 * furthest_m + 0.58 * radius > good(found);
+        if is_hopeless && depth > 0 {
+            return f64::INFINITY;
+        }
+        let at = corners.iter().map(|c| c.at).sum::<DVec3>() / 3.0;
+        let centre = Corner { at, hit: closest(at, Some(corners[0].hit.face), self.to, self.tree) };
+        found.lower_m = found.lower_m.max(centre.hit.distance);
+        let triangle = self.to.faces[centre.hit.face as usize].map(|v| self.to.positions[v as usize]);
+        let by_triangle_m =
+            corners.iter().map(|c| (closest_on_triangle(c.at, &triangle) - c.at).length()).fold(0.0, f64::max);
+        let [a, b, c] = *corners;
+        let of_part = |part: [Corner; 3]| part.iter().map(|c| c.hit.distance).fold(0.0, f64::max) + cover_radius(&part);
+        let by_parts_m = [[a, b, centre], [b, c, centre], [c, a, centre]].map(of_part).into_iter().fold(0.0, f64::max);
+        by_triangle_m.min(by_parts_m)
+    }
+
+    /// The middle of two corners, with a point of the other surface: the closest, or one within `enough_m`.
+    fn middle(&mut self, a: &Corner, b: &Corner, enough_m: f64) -> Corner {
+        let at = (a.at + b.at) * 0.5;
+        let place = place_of(at);
+        let known = &self.lately[place];
+        let distance_m = known.corner.hit.distance;
+        if known.corner.at == at && (distance_m <= enough_m || distance_m > known.enough_m) {
+            return known.corner;
+        }
+        let hit = |face: u32| {
+            let point = closest_on_triangle(at, &self.to.faces[face as usize].map(|v| self.to.positions[v as usize]));
+            Hit { face, point, distance: (point - at).length() }
+        };
+        let mut near = hit(a.hit.face);
+        if near.distance > enough_m && a.hit.face != b.hit.face {
+            let other = hit(b.hit.face);
+            near = if other.distance < near.distance { other } else { near };
+        }
+        if near.distance > enough_m {
+            near = self.tree.closest_until(at, near.distance, enough_m).unwrap_or(near);
+        }
+        let corner = Corner { at, hit: near };
+        self.lately[place] = Lately { corner, enough_m };
+        corner
     }
 
     /// Settles a face whose bound is good enough, keeps it otherwise.
@@ -280,17 +440,22 @@ impl Search<'_> {
         for face in std::mem::take(&mut self.pending) {
             stack.push(face);
             while let Some((upper, class, corners, depth)) = stack.pop() {
-                if upper <= good(&found[class]) || depth == DEEPEST {
+                let is_lost = corners.iter().any(|c| c.hit.face == u32::MAX);
+                if upper <= good(&found[class]) || depth == DEEPEST || is_lost {
                     found[class].upper_m = found[class].upper_m.max(upper);
                     continue;
                 }
-                let middle = |i: usize, j: usize| {
-                    let at = (corners[i].at + corners[j].at) * 0.5;
-                    Corner { at, hit: closest(at, Some(corners[i].hit.face), self.to, self.tree) }
-                };
+                let radius = cover_radius(&corners);
+                let upper = upper.min(self.by_centre(&corners, radius, depth, &mut found[class]));
+                if upper <= good(&found[class]) {
+                    found[class].upper_m = found[class].upper_m.max(upper);
+                    continue;
+                }
+                // What the parts may have at their corners; closer is not asked for.
+                let enough_m = good(&found[class]) - 0.5 * radius;
                 let [a, b, c] = corners;
-                let (ab, bc, ca) = (middle(0, 1), middle(1, 2), middle(2, 0));
-                for m in [&ab, &bc, &ca] {
+                let [ab, bc, ca] = [(a, b), (b, c), (c, a)].map(|(p, q)| self.middle(&p, &q, enough_m));
+                for m in [&ab, &bc, &ca].into_iter().filter(|m| m.hit.distance > enough_m) {
                     found[class].lower_m = found[class].lower_m.max(m.hit.distance);
                 }
                 for part in [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]] {
@@ -304,9 +469,29 @@ impl Search<'_> {
     }
 }
 
-/// A bound up to here closes the interval.
+/// A bound up to here closes the interval, or does not matter.
 fn good(d: &Deviation) -> f64 {
-    d.lower_m + TOLERANCE_M.max(TOLERANCE_SHARE * d.lower_m)
+    d.known_m.max(d.lower_m + TOLERANCE_M.max(TOLERANCE_SHARE * d.lower_m))
+}
+
+/// No point of a triangle is further from its nearest corner.
+pub(super) fn cover_radius(corners: &[Corner; 3]) -> f64 {
+    let [a, b, c] = corners.map(|c| c.at);
+    let mut squared = [(b - c).length_squared(), (c - a).length_squared(), (a - b).length_squared()];
+    squared.sort_unstable_by(f64::total_cmp);
+    let [a2, b2, c2] = squared;
+    // Where the bisector of a short side meets the longest, which for an acute triangle is beyond the circumcentre.
+    let reach = |short2: f64, other2: f64| {
+        let across = short2 + c2 - other2;
+        if across > 0.0 { short2 * c2.sqrt() / across } else { 0.0 }
+    };
+    let radius = if a2 + b2 > c2 {
+        (a2 * b2 * c2).sqrt() / (2.0 * (b - a).cross(c - a).length())
+    } else {
+        reach(a2, b2).max(reach(b2, a2))
+    };
+    // Rounding, and triangles so flat that there is nothing left of their area.
+    if radius.is_finite() { (radius * (1.0 + 1e-9)).min(c2.sqrt()) } else { c2.sqrt() }
 }
 
 #[cfg(test)]
@@ -336,7 +521,8 @@ mod tests {
         let (la, lb) = (vec![ClassId(0); a.1.len()], vec![ClassId(0); b.1.len()]);
         let sa = Surface { positions: &a.0, faces: &a.1, labels: &la };
         let sb = Surface { positions: &b.0, faces: &b.1, labels: &lb };
-        directed(sa, sb, &Bvh::new(&b.0, &b.1), 1, fine).remove(0)
+        let tree = Bvh::new(&b.0, &b.1);
+        if fine { from_source(sa, sb, &tree, 1).remove(0) } else { from_tile(sa, sb, &tree, &[0.0]).remove(0) }
     }
 
     #[test]
@@ -359,6 +545,25 @@ mod tests {
             assert!(found.upper_m >= worst - 1e-9, "{} < {worst}", found.upper_m);
             assert!(found.upper_m <= worst * 1.1 + TOLERANCE_M, "{} is loose for {worst}", found.upper_m);
             assert!(found.lower_m <= worst + 1e-3);
+        }
+    }
+
+    #[test]
+    fn corners_cover_a_triangle_from_their_radius_and_from_no_less() {
+        let corner = |x: f64, y: f64| Corner { at: DVec3::new(x, y, 0.0), hit: FAR };
+        let shapes = [[0.5, 0.9], [0.1, 0.05], [0.9, 0.3], [1.7, 0.2], [0.5, 1e-7], [0.0, 1.0], [0.3, 0.0]];
+        for [x, y] in shapes {
+            let corners = [corner(0.0, 0.0), corner(1.0, 0.0), corner(x, y)];
+            let mut furthest = 0f64;
+            for i in 0..=200 {
+                for j in 0..=200 - i {
+                    let [a, b, c] = corners.map(|c| c.at);
+                    let p = a + (b - a) * (f64::from(i) / 200.0) + (c - a) * (f64::from(j) / 200.0);
+                    furthest = furthest.max([a, b, c].iter().map(|q| (*q - p).length()).fold(f64::INFINITY, f64::min));
+                }
+            }
+            let radius = cover_radius(&corners);
+            assert!((furthest..furthest + 0.02).contains(&radius), "{x} {y}: {radius} for {furthest}");
         }
     }
 

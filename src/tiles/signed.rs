@@ -13,46 +13,84 @@
 
 use glam::DVec3;
 
-use super::error::{Corner, DEEPEST, Deviation, Surface, TOLERANCE_M, TOLERANCE_SHARE, closest};
-use crate::geo::bvh::{Bvh, Hit, closest_on_triangle};
+use super::error::{Corner, DEEPEST, Deviation, Near, Surface, TOLERANCE_M, TOLERANCE_SHARE, closest, cover_radius};
+use crate::geo::bvh::{Bvh, closest_on_triangle};
 
-/// Fills `inside_m` and `sunk_m` of every class whose `upper_m` is final.
-pub(super) fn bound(from: Surface, to: Surface, tree: &Bvh, hits: &[Hit], found: &mut [Deviation]) {
-    let mut bounds = vec![[f64::NEG_INFINITY; 2]; found.len()];
-    let mut stack = Vec::new();
-    for (face, label) in from.faces.iter().zip(from.labels) {
-        let corners = face.map(|v| Corner { at: from.positions[v as usize], hit: hits[v as usize] });
-        if corners.iter().any(|c| c.hit.face == u32::MAX) {
+/// Looked at more closely at first, the worst: what they leave undecided is little.
+const FIRST: usize = 256;
+
+/// Fills `inside_m` and `sunk_m` of every class whose `upper_m` is final. `roughly` bounds both for each face, by what is
+/// within the reach of its class; infinite where that is not known.
+pub(super) fn bound(near: &mut Near, roughly: &mut [[f32; 2]], found: &mut [Deviation]) {
+    for (class, found) in found.iter_mut().enumerate() {
+        let reach_m = found.upper_m * (1.0 + 1e-9);
+        let mut bound_m = [f64::NEG_INFINITY; 2];
+        for side in 0..2 {
+            let of_class = near.from.labels.iter().enumerate().filter(|(_, label)| label.index() == class);
+            let mut open: Vec<(f32, u32)> = of_class.map(|(f, _)| (roughly[f][side], f as u32)).collect();
+            let mut first = FIRST;
+            // The worst first: they settle nearly all of the others. What is not known comes last and is settled by then.
+            let rank = |value_m: f32| if value_m == f32::INFINITY { f32::NEG_INFINITY } else { value_m };
+            let worse = |a: &(f32, u32), b: &(f32, u32)| rank(b.0).total_cmp(&rank(a.0)).then(a.1.cmp(&b.1));
+            while !open.is_empty() {
+                let count = first.min(open.len());
+                if count < open.len() {
+                    open.select_nth_unstable_by(count, worse);
+                }
+                open[..count].sort_unstable_by(worse);
+                for &(value_m, f) in &open[..count] {
+                    if f64::from(value_m) > bound_m[side] {
+                        refine(near, f as usize, reach_m, &mut bound_m);
+                        roughly[f as usize] = [f32::NEG_INFINITY; 2];
+                    }
+                }
+                open.drain(..count);
+                open.retain(|(value_m, _)| f64::from(*value_m) > bound_m[side]);
+                first *= 2;
+            }
+        }
+        let or_0 = |m: f64| if m.is_finite() { m } else { 0.0 };
+        (found.inside_m, found.sunk_m) = (or_0(bound_m[0]), or_0(bound_m[1]));
+    }
+}
+
+/// What `offsets` from points of the tile to a face's corners, which hold for all of it, say of both directions; rounded
+/// up.
+pub(super) fn rough(corners: [DVec3; 3], offsets: [DVec3; 3]) -> [f32; 2] {
+    let mut best_m = [f64::INFINITY; 2];
+    take(&mut best_m, &directions(corners), offsets);
+    best_m.map(|m| (m as f32).next_up())
+}
+
+/// Raises the bounds to what a face asks for.
+fn refine(near: &mut Near, f: usize, reach_m: f64, bound_m: &mut [f64; 2]) {
+    let corners = near.corners(&near.from.faces[f]);
+    let (to, tree) = (near.to, near.tree);
+    if corners.iter().any(|c| c.hit.face == u32::MAX) {
+        return;
+    }
+    let directions = directions(corners.map(|c| c.at));
+    let mut stack = vec![(corners, 0)];
+    while let Some((corners, depth)) = stack.pop() {
+        let enough_m = bound_m.map(enough);
+        let settled = |best_m: &[f64; 2]| best_m[0] <= enough_m[0] && best_m[1] <= enough_m[1];
+        let mut best_m = values(&corners, &directions, to, reach_m, enough_m);
+        if !settled(&best_m) {
+            // Not the nearest triangle perhaps, but one within reach.
+            for face in within(&corners, reach_m, tree) {
+                take_triangle(&mut best_m, &directions, &corners, to, face, reach_m);
+            }
+        }
+        if !settled(&best_m) && depth < DEEPEST {
+            quarter(&corners, to, tree).into_iter().for_each(|part| stack.push((part, depth + 1)));
             continue;
         }
-        let (bound_m, reach_m) = (&mut bounds[label.index()], found[label.index()].upper_m * (1.0 + 1e-9));
-        let directions = directions(&corners);
-        stack.push((corners, 0));
-        while let Some((corners, depth)) = stack.pop() {
-            let enough_m = bound_m.map(enough);
-            let settled = |best_m: &[f64; 2]| best_m[0] <= enough_m[0] && best_m[1] <= enough_m[1];
-            let mut best_m = values(&corners, &directions, to, reach_m, enough_m);
-            if !settled(&best_m) {
-                // Not the nearest triangle perhaps, but one within reach.
-                for face in within(&corners, reach_m, tree) {
-                    take_triangle(&mut best_m, &directions, &corners, to, face, reach_m);
-                }
-            }
-            if !settled(&best_m) && depth < DEEPEST {
-                quarter(&corners, to, tree).into_iter().for_each(|part| stack.push((part, depth + 1)));
-                continue;
-            }
-            if best_m.iter().any(|b| b.is_infinite()) {
-                best_m = values(&corners, &directions, to, f64::INFINITY, [f64::NEG_INFINITY; 2]);
-            }
-            for (bound_m, value_m) in bound_m.iter_mut().zip(best_m) {
-                *bound_m = bound_m.max(value_m);
-            }
+        if best_m.iter().any(|b| b.is_infinite()) {
+            best_m = values(&corners, &directions, to, f64::INFINITY, [f64::NEG_INFINITY; 2]);
         }
-    }
-    for (deviation, bound_m) in found.iter_mut().zip(bounds) {
-        let or_0 = |m: f64| if m.is_finite() { m } else { 0.0 };
-        (deviation.inside_m, deviation.sunk_m) = (or_0(bound_m[0]), or_0(bound_m[1]));
+        for (bound_m, value_m) in bound_m.iter_mut().zip(best_m) {
+            *bound_m = bound_m.max(value_m);
+        }
     }
 }
 
@@ -72,8 +110,7 @@ pub(super) fn within(corners: &[Corner; 3], reach_m: f64, tree: &Bvh) -> Vec<u32
 const MOST_CANDIDATES: usize = 64;
 
 /// The face's normal, and up.
-fn directions(corners: &[Corner; 3]) -> [DVec3; 2] {
-    let [a, b, c] = corners.map(|c| c.at);
+fn directions([a, b, c]: [DVec3; 3]) -> [DVec3; 2] {
     [(b - a).cross(c - a).try_normalize().unwrap_or(DVec3::Z), DVec3::Z]
 }
 
@@ -85,6 +122,20 @@ fn enough(worst_m: f64) -> f64 {
 /// The least value found for each direction; no better than `enough_m` where a coarse look gives that.
 fn values(corners: &[Corner; 3], directions: &[DVec3; 2], to: Surface, reach_m: f64, enough_m: [f64; 2]) -> [f64; 2] {
     let mut best_m = [f64::INFINITY; 2];
+    // For each point of the face what is nearest to its nearest corner.
+    let radius_m = cover_radius(corners);
+    if corners.iter().all(|c| c.hit.distance + radius_m <= reach_m) {
+        for (best_m, direction) in best_m.iter_mut().zip(directions) {
+            let along = corners.map(|c| direction.dot(c.at));
+            let extent_m =
+                along.into_iter().fold(f64::NEG_INFINITY, f64::max) - along.into_iter().fold(f64::INFINITY, f64::min);
+            let offsets = corners.iter().map(|c| direction.dot(c.at - c.hit.point));
+            *best_m = offsets.fold(f64::NEG_INFINITY, f64::max) + extent_m.min(radius_m);
+        }
+        if best_m[0] <= enough_m[0] && best_m[1] <= enough_m[1] {
+            return best_m;
+        }
+    }
     for (k, c) in corners.iter().enumerate() {
         // One point of the tile for the whole face.
         let furthest_m = corners.iter().map(|e| (e.at - c.hit.point).length()).fold(0.0, f64::max);
@@ -138,7 +189,7 @@ pub(super) fn quarter(corners: &[Corner; 3], to: Surface, tree: &Bvh) -> [[Corne
 
 #[cfg(test)]
 mod tests {
-    use super::super::error::directed;
+    use super::super::error::from_source;
     use super::*;
     use crate::ids::ClassId;
 
@@ -157,7 +208,7 @@ mod tests {
         let (ls, lt) = (vec![ClassId(0); source.1.len()], vec![ClassId(0); tile.1.len()]);
         let from = Surface { positions: &source.0, faces: &source.1, labels: &ls };
         let to = Surface { positions: &tile.0, faces: &tile.1, labels: &lt };
-        directed(from, to, &Bvh::new(&tile.0, &tile.1), 1, true).remove(0)
+        from_source(from, to, &Bvh::new(&tile.0, &tile.1), 1).remove(0)
     }
 
     #[test]

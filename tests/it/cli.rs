@@ -270,8 +270,9 @@ impl UnderWay {
 
 #[cfg(unix)]
 #[test]
-fn a_signal_stops_a_build_and_leaves_nothing_behind() {
+fn a_signal_stops_a_build_and_leaves_nothing_behind_but_work_to_go_on_with() {
     let temp = temp();
+    let work = temp.path().join(".out.work");
     let hills = shapes::hills(&temp.path().join("in"), 250);
     let out = temp.path().join("out");
     for (name, code) in [("INT", 130), ("TERM", 143)] {
@@ -280,6 +281,9 @@ fn a_signal_stops_a_build_and_leaves_nothing_behind() {
         let (ended, said) = run.end();
         assert_eq!(ended, Some(code), "{said}");
         assert_eq!(said.lines().count(), 1, "{said}");
+        // How far it came by then is chance; `resume` tests what is made of it.
+        assert_eq!(said.contains("--resume"), work.exists(), "{said}");
+        let _ = std::fs::remove_dir_all(&work);
         assert_eq!(names(temp.path()), ["in"], "after SIG{name}");
     }
     // With --force, the output that was there stays.
@@ -289,6 +293,7 @@ fn a_signal_stops_a_build_and_leaves_nothing_behind() {
     let run = UnderWay::start(&hills, &out, &["--force"]);
     run.signal("INT");
     assert_eq!(run.end().0, Some(130));
+    let _ = std::fs::remove_dir_all(&work);
     assert!(files(temp.path()) == before, "something changed");
 }
 

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::Stdio;
+use std::process::{Child, Stdio};
 use std::time::{Duration, Instant};
 
 use crate::common::{build, command, files, names, shapes};
@@ -52,23 +52,30 @@ fn input(folder: &Path, more: bool) -> PathBuf {
 /// Starts a build, kills it as soon as `page` is in its work folder; false if it ended before.
 #[cfg(unix)]
 fn killed_at(input: &Path, out: &Path, page: &str) -> bool {
+    let Some(mut run) = begun(input, out, page) else { return false };
+    run.kill().expect("a kill");
+    run.wait().expect("an end");
+    true
+}
+
+/// A build that has written `page`; none if it ended before that was seen.
+#[cfg(unix)]
+fn begun(input: &Path, out: &Path, page: &str) -> Option<Child> {
     let mut args = SETS.to_vec();
     args.extend(["-q", "--threads", "1", "--resume"]);
     let mut run = command();
-    run.arg("build").arg(input).arg("-o").arg(out).args(args).stdout(Stdio::null()).stderr(Stdio::null());
+    run.arg("build").arg(input).arg("-o").arg(out).args(args).stdout(Stdio::null()).stderr(Stdio::piped());
     let mut run = run.spawn().expect("the program starts");
     let page = out.with_file_name(".out.work").join(page);
     let begun = Instant::now();
     while !page.exists() {
         if run.try_wait().expect("a state").is_some() {
-            return false;
+            return None;
         }
         assert!(begun.elapsed() < PATIENCE, "{} never came", page.display());
         std::thread::sleep(Duration::from_millis(1));
     }
-    run.kill().expect("a kill");
-    run.wait().expect("an end");
-    true
+    Some(run)
 }
 
 fn whole(input: &Path, out: &Path, more: &[&str]) -> BTreeMap<PathBuf, Option<Vec<u8>>> {
@@ -106,6 +113,34 @@ fn a_build_killed_again_and_again_ends_with_the_same_bytes() {
     for (path, bytes) in &wanted {
         assert!(resumed[path] == *bytes, "{} differs", path.display());
     }
+    assert_eq!(names(temp.path()), ["in", "out", "whole"], "something was left behind");
+}
+
+#[cfg(unix)]
+#[test]
+fn ctrl_c_keeps_the_work_and_says_how_to_go_on() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let input = input(temp.path(), false);
+    let wanted = whole(&input, &temp.path().join("whole"), &[]);
+    let out = temp.path().join("out");
+    let stopped = |page: &str| {
+        let run = begun(&input, &out, page).expect("a build that is not done");
+        let kill = std::process::Command::new("kill").args(["-INT", &run.id().to_string()]).status();
+        assert!(kill.expect("kill runs").success());
+        let end = run.wait_with_output().expect("an end");
+        (end.status.code(), String::from_utf8_lossy(&end.stderr).into_owned())
+    };
+    let (code, said) = stopped("labels/window-0.json");
+    assert_eq!(code, Some(130), "{said}");
+    assert!(said.contains("with --resume goes on") && said.contains("begins afresh"), "{said}");
+    assert_eq!(names(temp.path()), [".out.work", "in", "whole"]);
+    assert!(temp.path().join(".out.work/labels/window-0.json").exists(), "nothing was kept");
+    assert!(whole(&input, &out, &["--resume"]) == wanted);
+    assert_eq!(names(temp.path()), ["in", "out", "whole"], "something was left behind");
+    // Without it, afresh, and with nothing left of the old work.
+    std::fs::remove_dir_all(&out).expect("a removal");
+    assert_eq!(stopped("step/0.json").0, Some(130));
+    assert!(whole(&input, &out, &[]) == wanted);
     assert_eq!(names(temp.path()), ["in", "out", "whole"], "something was left behind");
 }
 

@@ -26,9 +26,11 @@ pub struct Collapse {
 pub struct CollapseLog {
     /// In order; any prefix is a valid mesh.
     pub events: Vec<Collapse>,
-    /// Per event, if they were asked for: the largest deviation of a sample that it moved, by class, metres. A sample
-    /// counts for every class of the faces around it in the source.
-    pub deviations_m: Vec<[f32; MOST_CLASSES]>,
+    /// Per event, if they were asked for: the [level](super::record::level_of) of the largest deviation of a sample that
+    /// it moved, by class. A sample counts for every class of the faces around it in the source.
+    pub levels: Vec<[u8; MOST_CLASSES]>,
+    /// The largest of these deviations of all events, by class, metres.
+    pub most_m: [f32; MOST_CLASSES],
     /// Faces that an event folded onto others, so that they are gone though their corners differ: event, face. In order.
     pub folded: Vec<(u32, u32)>,
 }

@@ -13,6 +13,7 @@ use glam::{DVec3, Vec3};
 use super::block::{BORDER, Block, Collapsed, Energy, Limit};
 use super::energy::{Facet, Form, Quadric, SmallForm};
 use super::queue::{Candidate, Queue};
+use super::record::level_of;
 use super::star::{Arena, Span};
 use super::track::{Move, Rider};
 use super::{Collapse, MOST_CLASSES, NONE};
@@ -125,7 +126,8 @@ pub(super) struct Run<'a> {
     held_at: f64,
     log: Vec<Collapse>,
     folded: Vec<(u32, u32)>,
-    deviations: Vec<[f32; MOST_CLASSES]>,
+    levels: Vec<[u8; MOST_CLASSES]>,
+    most_m: [f32; MOST_CLASSES],
     /// Collapses so far.
     count: u32,
 }
@@ -163,7 +165,8 @@ impl<'a> Run<'a> {
             Face { corners, normal: facet.normal, weight: facet.area * omega, omega }
         };
         let faces: Vec<Face> = std::mem::take(&mut block.faces).into_iter().zip(0..).map(face).collect();
-        let riders: Vec<Rider> = std::mem::take(&mut block.samples).into_iter().map(Rider::of).collect();
+        let samples = std::mem::take(&mut block.samples);
+        let (riders, rider_head) = Rider::all(samples, if tracked { faces.len() } else { 0 });
         let deviation = riders.iter().map(|s| f64::from(s.weight) * f64::from(s.squared_m2)).sum();
         // Room that is not used costs nothing; to move what grows leaves holes.
         let most = if block.rules.recorded { faces.len().saturating_sub(block.rules.stop_faces) / 2 } else { 0 };
@@ -172,7 +175,7 @@ impl<'a> Run<'a> {
             quadrics: Vec::new(),
             version: vec![0; vertices.len()],
             arena,
-            rider_head: vec![NONE; if tracked { faces.len() } else { 0 }],
+            rider_head,
             riders,
             queue: Queue::new(),
             stamp: 0,
@@ -189,15 +192,13 @@ impl<'a> Run<'a> {
             held_at: scale,
             log: Vec::with_capacity(most),
             folded: Vec::new(),
-            deviations: Vec::with_capacity(most),
+            levels: Vec::with_capacity(most),
+            most_m: [0.0; MOST_CLASSES],
             count: 0,
             vertices,
             faces,
             block,
         };
-        for (s, rider) in run.riders.iter_mut().enumerate().rev() {
-            rider.next = std::mem::replace(&mut run.rider_head[rider.face as usize], s as u32);
-        }
         run.sum_planes();
         run
     }
@@ -227,16 +228,17 @@ impl<'a> Run<'a> {
                 }
             }
         }
-        let Self { mut block, vertices, faces, riders, log, folded, deviations, scale, queue, arena, version, .. } =
-            self;
+        let Self { mut block, vertices, faces, riders, rider_head, scale, queue, arena, version, .. } = self;
+        let Self { log, folded, levels, most_m, .. } = self;
         drop((queue, arena, version));
-        block.samples = riders.into_iter().map(Rider::sample).collect();
+        block.samples = Rider::samples(riders, &rider_head);
+        drop(rider_head);
         block.faces = faces.iter().map(|f| f.corners).collect();
         block.omega = faces.iter().map(|f| f.omega).collect();
         drop(faces);
         block.flags = vertices.iter().map(|v| v.flags).collect();
         block.positions = vertices.iter().map(|v| v.at).collect();
-        Collapsed { block, log, folded, deviations, scale }
+        Collapsed { block, log, folded, levels, most_m, scale }
     }
 
     /// Every vertex's planes.
@@ -489,8 +491,11 @@ impl<'a> Run<'a> {
                 }
             }
         }
+        [u, v].iter().for_each(|&w| self.vertices[w as usize].star = Span::default());
+        if self.arena.is_full(star.len()) {
+            self.arena.tidy(&mut self.vertices, |vertex| &mut vertex.star);
+        }
         self.vertices[u as usize].star = self.arena.list(star.iter().filter(|c| !c.dies).map(|c| c.face));
-        self.vertices[v as usize].star = Span::default();
         self.move_samples(&star);
         self.version[u as usize] += self.version[v as usize] + 1;
         self.version[v as usize] = GONE;
@@ -617,12 +622,14 @@ impl<'a> Run<'a> {
         if self.block.rules.recorded {
             let mut squared = [0f64; MOST_CLASSES];
             for step in &self.moved {
-                let classes = self.riders[step.rider as usize].classes;
+                let classes = self.block.sample_classes.get(step.rider as usize).copied().unwrap_or(0);
                 for (_, most) in squared.iter_mut().enumerate().filter(|(c, _)| classes >> c & 1 != 0) {
                     *most = most.max(step.squared_m2);
                 }
             }
-            self.deviations.push(squared.map(|s| s.sqrt() as f32));
+            let deviations_m = squared.map(|s| s.sqrt() as f32);
+            self.most_m.iter_mut().zip(deviations_m).for_each(|(most, m)| *most = most.max(m));
+            self.levels.push(deviations_m.map(|m| level_of(f64::from(m))));
         }
     }
 }

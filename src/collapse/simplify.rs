@@ -219,7 +219,7 @@ impl<'a> Job<'a> {
             .into_iter()
             .map(|b| if b { BORDER } else { 0 })
             .collect();
-        let samples = if self.tracked { self.samples() } else { Vec::new() };
+        let (samples, sample_classes) = if self.tracked { self.samples() } else { Default::default() };
         let faces = if wanted { self.mesh.faces.clone() } else { std::mem::take(&mut self.mesh.faces) };
         let positions = if wanted && !self.tracked {
             self.mesh.positions.clone()
@@ -237,21 +237,22 @@ impl<'a> Job<'a> {
             group: Vec::new(),
             boxes: &[],
             samples,
+            sample_classes: if self.config.record { sample_classes } else { Vec::new() },
             rules,
         }
     }
 
     /// A sample for each vertex: with the strictest budget and all classes around it, and the weight of the largest face there.
-    fn samples(&self) -> Vec<Sample> {
+    fn samples(&self) -> (Vec<Sample>, Vec<u8>) {
         let sample = |&point: &DVec3| Sample {
             point,
             weight: 0.0,
             budget_m: f32::INFINITY,
             squared_m2: 0.0,
             face: NONE,
-            classes: 0,
         };
         let mut samples: Vec<Sample> = self.mesh.positions.iter().map(sample).collect();
+        let mut classes = vec![0u8; samples.len()];
         let mut largest = vec![-1f32; samples.len()];
         for (f, face) in self.mesh.faces.iter().enumerate() {
             let area = self.mesh.cross(f).length() as f32;
@@ -260,7 +261,7 @@ impl<'a> Job<'a> {
             for &v in face {
                 let sample = &mut samples[v as usize];
                 sample.budget_m = sample.budget_m.min(budget_m);
-                sample.classes |= bit;
+                classes[v as usize] |= bit;
                 sample.weight += area / 6.0;
                 if area > largest[v as usize] {
                     largest[v as usize] = area;
@@ -269,7 +270,7 @@ impl<'a> Job<'a> {
             }
         }
         samples.iter_mut().for_each(|sample| sample.weight *= self.omega[sample.face as usize]);
-        samples
+        (samples, classes)
     }
 
     /// The surface that is left, about the origin, with the faces it has of the ordered mesh.
@@ -318,7 +319,7 @@ impl<'a> Job<'a> {
             faces,
             labels: std::mem::take(&mut self.labels),
             grid_m: self.config.grid_m,
-            log: CollapseLog { events: done.log, deviations_m: done.deviations, folded: done.folded },
+            log: CollapseLog { events: done.log, levels: done.levels, most_m: done.most_m, folded: done.folded },
         }
     }
 }

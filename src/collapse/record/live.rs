@@ -97,6 +97,17 @@ pub struct Star {
 const MOST_ORDERED: usize = 64;
 
 impl Live {
+    /// Empty, with room for a mesh that is known beforehand.
+    pub fn with_room(vertices: usize, faces: usize) -> Self {
+        Self {
+            points: Vec::with_capacity(vertices),
+            faces: Vec::with_capacity(faces),
+            classes: Vec::with_capacity(faces),
+            head: Vec::with_capacity(vertices),
+            next: Vec::with_capacity(3 * faces),
+        }
+    }
+
     /// Adds a vertex without faces.
     pub fn add_vertex(&mut self, point: Grid) -> u32 {
         self.points.push(point);

@@ -52,6 +52,7 @@ mod coder;
 mod decode;
 mod encode;
 mod file;
+mod history;
 mod level;
 mod live;
 mod progressive;

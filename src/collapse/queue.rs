@@ -51,12 +51,23 @@ pub struct Queue {
     /// The first chunk that no bucket has.
     free: u32,
     lowest: usize,
+    /// What is left of a bucket that was taken out whole, in order of place, the next one last.
+    run: Vec<Candidate>,
+    /// Which it was.
+    run_bucket: usize,
 }
 
 impl Queue {
     /// An empty queue.
     pub fn new() -> Self {
-        Self { buckets: vec![Bucket { top: NONE, filled: 0 }; BUCKETS], pages: Vec::new(), free: NONE, lowest: BUCKETS }
+        Self {
+            buckets: vec![Bucket { top: NONE, filled: 0 }; BUCKETS],
+            pages: Vec::new(),
+            free: NONE,
+            lowest: BUCKETS,
+            run: Vec::new(),
+            run_bucket: BUCKETS,
+        }
     }
 
     /// Files a candidate under its energy, which must not be negative or NaN.
@@ -75,29 +86,72 @@ impl Queue {
     }
 
     /// Moves up to `most` candidates of the lowest bucket that has any to `batch`, the first to be handled last, and says
-    /// the least energy that is filed there.
-    pub fn pop(&mut self, most: usize, batch: &mut Vec<Candidate>) -> Option<f32> {
-        while self.lowest < BUCKETS {
-            let Bucket { mut top, mut filled } = self.buckets[self.lowest];
-            if top == NONE {
+    /// the least energy that is filed there. Those that are not `current` may be dropped.
+    pub fn pop(
+        &mut self,
+        most: usize,
+        batch: &mut Vec<Candidate>,
+        current: impl Fn(&Candidate) -> bool,
+    ) -> Option<f32> {
+        loop {
+            // Before what is left of the run comes what was filed below it, and in its own bucket since.
+            let end = if self.run.is_empty() { BUCKETS } else { self.run_bucket + 1 };
+            while self.lowest < end && self.buckets[self.lowest].top == NONE {
                 self.lowest += 1;
-                continue;
             }
-            let before = batch.len();
-            while top != NONE && batch.len() - before < most {
-                filled -= 1;
-                batch.push(self.chunk(top).items[filled as usize]);
-                if filled == 0 {
-                    let below = std::mem::replace(&mut self.free, top);
-                    let below = std::mem::replace(&mut self.chunk(top).below, below);
-                    (top, filled) = (below, CHUNK as u32);
+            if self.lowest < end {
+                let top = self.buckets[self.lowest].top;
+                if !self.run.is_empty() || self.chunk(top).below == NONE {
+                    self.take(most, batch);
+                    break;
+                }
+                self.take_all(&current);
+            } else if self.run.is_empty() {
+                return None;
+            } else {
+                let rest = self.run.len().saturating_sub(most);
+                batch.extend(self.run.drain(rest..));
+                self.lowest = self.run_bucket;
+                break;
+            }
+        }
+        Some(f32::from_bits((self.lowest as u32) << SHIFT))
+    }
+
+    /// Takes up to `most` candidates off the lowest bucket, which has some.
+    fn take(&mut self, most: usize, taken: &mut Vec<Candidate>) {
+        let Bucket { mut top, mut filled } = self.buckets[self.lowest];
+        let before = taken.len();
+        while top != NONE && taken.len() - before < most {
+            filled -= 1;
+            taken.push(self.chunk(top).items[filled as usize]);
+            if filled == 0 {
+                let below = std::mem::replace(&mut self.free, top);
+                let below = std::mem::replace(&mut self.chunk(top).below, below);
+                (top, filled) = (below, CHUNK as u32);
+            }
+        }
+        taken[before..].reverse();
+        self.buckets[self.lowest] = Bucket { top, filled };
+    }
+
+    /// Makes the lowest bucket the run.
+    fn take_all(&mut self, current: impl Fn(&Candidate) -> bool) {
+        let mut run = std::mem::take(&mut self.run);
+        while self.buckets[self.lowest].top != NONE {
+            let before = run.len();
+            self.take(CHUNK, &mut run);
+            let mut kept = before;
+            for i in before..run.len() {
+                if current(&run[i]) {
+                    run[kept] = run[i];
+                    kept += 1;
                 }
             }
-            batch[before..].reverse();
-            self.buckets[self.lowest] = Bucket { top, filled };
-            return Some(f32::from_bits((self.lowest as u32) << SHIFT));
+            run.truncate(kept);
         }
-        None
+        run.sort_unstable_by_key(|c| std::cmp::Reverse(c.u));
+        (self.run, self.run_bucket) = (run, self.lowest);
     }
 
     /// True if something was filed below the bucket of `energy`.
@@ -138,7 +192,7 @@ mod tests {
         let mut last = 0f32;
         let mut count = 0;
         let mut batch = Vec::new();
-        while let Some(filed) = queue.pop(7, &mut batch) {
+        while let Some(filed) = queue.pop(7, &mut batch, |_| true) {
             assert!(batch.len() <= 7);
             while let Some(c) = batch.pop() {
                 let energy = ((c.u * 7919) % 1000) as f32 * 1e-5;

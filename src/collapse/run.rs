@@ -39,9 +39,10 @@ pub(super) struct Vertex {
     pub star: Span,
     /// See there.
     pub mark: Mark,
-    /// `LOCKED`, `FIX_X`, `FIX_Y`, `BORDER`.
-    pub flags: u8,
 }
+
+// A byte more, and the alignment would make it two lines.
+const _: () = assert!(size_of::<Vertex>() == 64 && size_of::<Face>() == 32);
 
 /// A face of the surface, in 32 bytes.
 #[derive(Clone, Copy)]
@@ -66,14 +67,28 @@ impl Face {
     }
 }
 
-/// How many faces a vertex shares with the ends of the edge under test; valid while `stamp` is the run's.
-#[derive(Clone, Copy, Default)]
+/// How many faces a vertex shares with the ends of the edge under test, valid while `stamp` is the run's; and what it may
+/// do at all times.
+#[derive(Clone, Copy)]
 pub(super) struct Mark {
     pub stamp: u32,
+    /// `LOCKED`, `FIX_X`, `FIX_Y`, `BORDER`.
+    pub flags: u8,
     pub of_u: u8,
     pub of_v: u8,
     /// Faces counted that will not be there.
     pub dying: u8,
+}
+
+impl Mark {
+    fn of(flags: u8) -> Self {
+        Self { stamp: 0, flags, of_u: 0, of_v: 0, dying: 0 }
+    }
+
+    /// Of no face yet, for the run's `stamp`.
+    pub fn renew(&mut self, stamp: u32) {
+        *self = Self { stamp, ..Self::of(self.flags) };
+    }
 }
 
 /// A face of a star as it would be after the collapse under test.
@@ -154,7 +169,7 @@ impl<'a> Run<'a> {
         let flags = std::mem::take(&mut block.flags);
         let vertices = std::mem::take(&mut block.positions).into_iter().zip(flags).zip(spans);
         let vertex =
-            |((at, flags), star)| Vertex { at, form: SmallForm::default(), star, mark: Mark::default(), flags };
+            |((at, flags), star)| Vertex { at, form: SmallForm::default(), star, mark: Mark::of(flags) };
         let vertices: Vec<Vertex> = vertices.map(vertex).collect();
         let omega = std::mem::take(&mut block.omega);
         let mut area_m2 = 0.0;
@@ -211,7 +226,11 @@ impl<'a> Run<'a> {
         }
         let mut batch = Vec::with_capacity(BATCH);
         'all: while self.living > self.block.rules.stop_faces {
-            let Some(filed) = self.queue.pop(BATCH, &mut batch) else { if self.widen() { continue } else { break } };
+            let version = &self.version;
+            let current = |c: &Candidate| version[c.u as usize] + version[c.v as usize] == c.stamp;
+            let Some(filed) = self.queue.pop(BATCH, &mut batch, current) else {
+                if self.widen() { continue } else { break }
+            };
             self.fetch(&mut batch);
             while let Some(candidate) = batch.pop() {
                 match self.consider(candidate, filed) {
@@ -236,7 +255,7 @@ impl<'a> Run<'a> {
         block.faces = faces.iter().map(|f| f.corners).collect();
         block.omega = faces.iter().map(|f| f.omega).collect();
         drop(faces);
-        block.flags = vertices.iter().map(|v| v.flags).collect();
+        block.flags = vertices.iter().map(|v| v.mark.flags).collect();
         block.positions = vertices.iter().map(|v| v.at).collect();
         Collapsed { block, log, folded, levels, most_m, scale }
     }
@@ -349,7 +368,7 @@ impl<'a> Run<'a> {
         for &span in spans {
             for &f in self.arena.faces(span) {
                 for w in self.faces[f as usize].corners {
-                    read ^= u32::from(self.vertices[w as usize].flags);
+                    read ^= u32::from(self.vertices[w as usize].mark.flags);
                 }
                 let first = self.rider_head.get(f as usize).copied().unwrap_or(NONE);
                 read ^= self.riders.get(first as usize).map_or(0, |rider| rider.next);
@@ -450,7 +469,7 @@ impl<'a> Run<'a> {
         let star = std::mem::take(&mut self.star);
         let ring = std::mem::take(&mut self.ring);
         let memoryless = self.block.rules.energy == Energy::Memoryless;
-        let borders = memoryless && ring.iter().chain([&u, &v]).any(|&w| self.vertices[w as usize].flags & BORDER != 0);
+        let borders = memoryless && ring.iter().chain([&u, &v]).any(|&w| self.vertices[w as usize].mark.flags & BORDER != 0);
         // Where faces fold, edges outside the star may open, too.
         let folds = !self.pairs.is_empty();
         match (borders, folds) {
@@ -472,7 +491,7 @@ impl<'a> Run<'a> {
         self.note_folds(&star, u, v);
         self.record(u, v, p, energy);
         self.vertices[u as usize].at = p;
-        self.vertices[u as usize].flags |= self.vertices[v as usize].flags;
+        self.vertices[u as usize].mark.flags |= self.vertices[v as usize].mark.flags;
         let mut sum = Form::default();
         for corner in &star {
             let face = &mut self.faces[corner.face as usize];
@@ -578,7 +597,7 @@ impl<'a> Run<'a> {
 
     /// True for an edge that one face has.
     fn is_border(&self, a: u32, b: u32) -> bool {
-        let flags = self.vertices[a as usize].flags & self.vertices[b as usize].flags;
+        let flags = self.vertices[a as usize].mark.flags & self.vertices[b as usize].mark.flags;
         flags & BORDER != 0 && self.shared_faces(a, b) == 1
     }
 
@@ -593,7 +612,7 @@ impl<'a> Run<'a> {
             if !(face.contains(&u) && face.contains(&v)) {
                 self.folded.push((event, corner.face));
             }
-            face.iter().for_each(|&w| self.vertices[w as usize].flags |= BORDER);
+            face.iter().for_each(|&w| self.vertices[w as usize].mark.flags |= BORDER);
         }
     }
 

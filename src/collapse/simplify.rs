@@ -171,7 +171,9 @@ impl<'a> Job<'a> {
         }
         if refit {
             let mut points = self.points(samples, &cut.face_ids, cut.scale);
-            refit::refit(&mut cut.positions, &mut cut.faces, &mut points);
+            self.omega = Vec::new();
+            let source = refit::Source { positions: &self.mesh.positions, faces: &self.mesh.faces };
+            refit::refit(&mut cut.positions, &mut cut.faces, &mut points, source);
         }
         if self.config.record {
             cut.sequence = Some(self.sequence(done));
@@ -300,13 +302,12 @@ impl<'a> Job<'a> {
         let mut points = Vec::with_capacity(samples.len() + self.mesh.faces.len());
         points.extend(samples.into_iter().map(|sample| {
             let limit = (scale * f64::from(sample.budget_m)) as f32;
-            Point::new(sample.point, 0.5 * sample.weight, limit, place[sample.face as usize])
+            Point::new(0.5 * sample.weight, limit, place[sample.face as usize])
         }));
         for (f, corners) in self.mesh.faces.iter().enumerate() {
             let area = 0.5 * self.mesh.cross(f).length() as f32;
-            let center = self.mesh.corners(f).iter().sum::<DVec3>() / 3.0;
             let near = points[corners[0] as usize].face;
-            points.push(Point::new(center, 0.5 * area * self.omega[f], f32::INFINITY, near));
+            points.push(Point::new(0.5 * area * self.omega[f], f32::INFINITY, near));
         }
         points
     }

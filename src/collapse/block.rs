@@ -7,6 +7,7 @@
 
 use glam::DVec3;
 
+use super::log::Moves;
 use super::run::Run;
 use super::{Collapse, MOST_CLASSES};
 use crate::geo::Rect;
@@ -119,9 +120,10 @@ pub struct Sample {
 pub struct Collapsed<'a> {
     /// Faces that died have `NONE` as first corner; positions of vertices that died are stale.
     pub block: Block<'a>,
-    /// What was done, in order; empty where nobody asks for it and the limit grows or there is none, for there one block is
-    /// the whole mesh.
+    /// What was done, in order, where the limit is a scale: there a block is a part of a mesh.
     pub log: Vec<Collapse>,
+    /// What was done, if it was to be recorded.
+    pub(super) moves: Moves,
     /// Faces that died because they folded onto others: index of the collapse, face.
     pub folded: Vec<(u32, u32)>,
     /// Per collapse, if recorded: see [`CollapseLog`](super::CollapseLog).

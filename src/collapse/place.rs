@@ -228,7 +228,11 @@ impl<'a> Pull<'a> {
 #[inline(always)]
 fn start(u: &Vertex, v: &Vertex) -> Option<(DVec3, u8)> {
     let middle = (u.at + v.at) * 0.5;
-    if (u.mark.flags | v.mark.flags) & (LOCKED | FIX_X | FIX_Y) == 0 { Some((middle, 0)) } else { constrained(u, v, middle) }
+    if (u.mark.flags | v.mark.flags) & (LOCKED | FIX_X | FIX_Y) == 0 {
+        Some((middle, 0))
+    } else {
+        constrained(u, v, middle)
+    }
 }
 
 fn constrained(u: &Vertex, v: &Vertex, mut start: DVec3) -> Option<(DVec3, u8)> {

@@ -1,7 +1,10 @@
-//! A priority queue by logarithmic buckets: about 32 to an octave of energy, last in first out inside.
+//! A priority queue by logarithmic buckets, four to an octave of energy.
 //!
-//! Exact order buys nothing: it matched a binary heap in measured error at 2.3 times its speed, because the newest
-//! edge of a bucket is the one whose star is still in the cache.
+//! A bucket is taken out whole when its turn comes, and handled in order of place; what is filed in it or below it
+//! meanwhile comes first, last in first out. So neighbours are handled one after the other, while their stars are in the
+//! cache. Exact order buys nothing: a binary heap, and 32, 8 or 4 buckets to an octave gave the same error within 0.4 % on
+//! two meshes at 10 and 1 % of the faces. From 32 in no order to 4 in order of place, a collapse of 3 million faces takes
+//! 0.67 of the time; 2 or 1 save no more.
 //!
 //! Buckets are stacks of small chunks out of one pool: as many vectors that grow left 40 bytes a face of holes and spare
 //! room at the peak of a collapse, where the candidates themselves take 20.
@@ -20,8 +23,8 @@ pub struct Candidate {
     pub stamp: u32,
 }
 
-const BUCKETS: usize = 8192;
-const SHIFT: u32 = 18;
+const BUCKETS: usize = 1024;
+const SHIFT: u32 = 21;
 /// Candidates of a chunk: with the number of the next one, 508 bytes.
 const CHUNK: usize = 42;
 /// Chunks that are allocated at once, 65 kB.
@@ -50,6 +53,8 @@ pub struct Queue {
     pages: Vec<Box<[Chunk]>>,
     /// The first chunk that no bucket has.
     free: u32,
+    /// Stale candidates are looked for before there are more pages than this.
+    most_pages: usize,
     lowest: usize,
     /// What is left of a bucket that was taken out whole, in order of place, the next one last.
     run: Vec<Candidate>,
@@ -64,6 +69,7 @@ impl Queue {
             buckets: vec![Bucket { top: NONE, filled: 0 }; BUCKETS],
             pages: Vec::new(),
             free: NONE,
+            most_pages: usize::MAX,
             lowest: BUCKETS,
             run: Vec::new(),
             run_bucket: BUCKETS,
@@ -154,6 +160,41 @@ impl Queue {
         (self.run, self.run_bucket) = (run, self.lowest);
     }
 
+    /// Every edge is filed: from here on the queue grows by a sixteenth at most before it is [full](Self::is_full).
+    pub fn settle(&mut self) {
+        self.most_pages = self.pages.len() + self.pages.len() / 16 + 1;
+    }
+
+    /// True when what is out of date should go, to make room.
+    pub fn is_full(&self) -> bool {
+        self.free == NONE && self.pages.len() >= self.most_pages
+    }
+
+    /// Drops what is not `current`; order stays.
+    pub fn tidy(&mut self, current: impl Fn(&Candidate) -> bool) {
+        let lowest = self.lowest;
+        let (mut all, mut dropped) = (Vec::new(), 0);
+        for bucket in lowest..BUCKETS {
+            self.lowest = bucket;
+            // From the top chunk down, each from its first candidate on.
+            while self.buckets[bucket].top != NONE {
+                let filled = self.buckets[bucket].filled as usize;
+                let before = all.len();
+                self.take(filled, &mut all);
+                all[before..].reverse();
+            }
+            let before = all.len();
+            all.retain(&current);
+            dropped += before - all.len();
+            let energy = f32::from_bits((bucket as u32) << SHIFT);
+            all.drain(..).rev().for_each(|candidate| self.push(candidate, energy));
+        }
+        self.lowest = lowest;
+        if dropped < self.pages.len() * PAGE * CHUNK / 8 {
+            self.most_pages += self.most_pages / 8 + 1;
+        }
+    }
+
     /// True if something was filed below the bucket of `energy`.
     pub fn has_below(&self, energy: f32) -> bool {
         self.lowest < (energy.to_bits() >> SHIFT) as usize
@@ -168,7 +209,8 @@ impl Queue {
         if self.free == NONE {
             let first = (self.pages.len() * PAGE) as u32;
             let nothing = [Candidate { u: NONE, v: NONE, stamp: 0 }; CHUNK];
-            let chunk = |k: usize| Chunk { below: if k + 1 < PAGE { first + k as u32 + 1 } else { NONE }, items: nothing };
+            let chunk =
+                |k: usize| Chunk { below: if k + 1 < PAGE { first + k as u32 + 1 } else { NONE }, items: nothing };
             self.pages.push((0..PAGE).map(chunk).collect());
             self.free = first;
         }
@@ -181,6 +223,25 @@ impl Queue {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_tidied_queue_hands_out_the_same_without_what_was_dropped() {
+        let filled = || {
+            let mut queue = Queue::new();
+            (0..5000u32).for_each(|i| queue.push(Candidate { u: i, v: i, stamp: i % 3 }, (i % 7) as f32));
+            queue
+        };
+        let all = |mut queue: Queue| {
+            let mut out = Vec::new();
+            // One at a time from buckets of any size, as they lie.
+            while queue.pop(1, &mut out, |c| c.stamp != 0).is_some() {}
+            out.iter().filter(|c| c.stamp != 0).map(|c| c.u).collect::<Vec<_>>()
+        };
+        let mut tidied = filled();
+        tidied.settle();
+        tidied.tidy(|c| c.stamp != 0);
+        assert_eq!(all(tidied), all(filled()));
+    }
 
     #[test]
     fn candidates_leave_in_order_of_energy_within_a_bucket_width() {
@@ -196,8 +257,8 @@ mod tests {
             assert!(batch.len() <= 7);
             while let Some(c) = batch.pop() {
                 let energy = ((c.u * 7919) % 1000) as f32 * 1e-5;
-                assert!((filed..=filed * 1.032).contains(&energy), "{energy} filed under {filed}");
-                assert!(energy >= last / 1.04, "{energy} after {last}");
+                assert!((filed..=filed * 1.25).contains(&energy), "{energy} filed under {filed}");
+                assert!(energy >= last / 1.26, "{energy} after {last}");
                 last = last.max(energy);
                 count += 1;
             }

@@ -12,18 +12,20 @@ use glam::{DVec3, Vec3};
 
 use super::block::{BORDER, Block, Collapsed, Energy, Limit};
 use super::energy::{Facet, Form, Quadric, SmallForm};
+use super::log::Moves;
 use super::queue::{Candidate, Queue};
 use super::record::level_of;
 use super::star::{Arena, Span};
 use super::track::{Move, Rider};
 use super::{Collapse, MOST_CLASSES, NONE};
 
-/// An edge is filed again, not collapsed, when its energy grew by more than this since it was ranked.
-const STALE_FACTOR: f32 = 1.1;
+/// An edge is filed again, not collapsed, when its energy is this many times the least of its bucket. More than a bucket
+/// is wide, or it would be filed where it came from.
+const STALE_FACTOR: f32 = 1.35;
 /// Refused edges are tried again when the limit has grown by this.
 const RETRY_FACTOR: f64 = 1.5;
 /// Candidates that are fetched together.
-const BATCH: usize = 10;
+const BATCH: usize = 24;
 /// Version of a vertex without faces: no sum with it is one that an edge was filed under.
 const GONE: u32 = 1 << 30;
 
@@ -140,6 +142,7 @@ pub(super) struct Run<'a> {
     held: Vec<(Candidate, f32)>,
     held_at: f64,
     log: Vec<Collapse>,
+    moves: Moves,
     folded: Vec<(u32, u32)>,
     levels: Vec<[u8; MOST_CLASSES]>,
     most_m: [f32; MOST_CLASSES],
@@ -168,8 +171,7 @@ impl<'a> Run<'a> {
         let (arena, spans) = Arena::of(block.positions.len(), &block.faces);
         let flags = std::mem::take(&mut block.flags);
         let vertices = std::mem::take(&mut block.positions).into_iter().zip(flags).zip(spans);
-        let vertex =
-            |((at, flags), star)| Vertex { at, form: SmallForm::default(), star, mark: Mark::of(flags) };
+        let vertex = |((at, flags), star)| Vertex { at, form: SmallForm::default(), star, mark: Mark::of(flags) };
         let vertices: Vec<Vertex> = vertices.map(vertex).collect();
         let omega = std::mem::take(&mut block.omega);
         let mut area_m2 = 0.0;
@@ -205,7 +207,8 @@ impl<'a> Run<'a> {
             area_m2,
             held: Vec::new(),
             held_at: scale,
-            log: Vec::with_capacity(most),
+            log: Vec::new(),
+            moves: Moves::new(most, block.rules.grid_m),
             folded: Vec::new(),
             levels: Vec::with_capacity(most),
             most_m: [0.0; MOST_CLASSES],
@@ -225,9 +228,13 @@ impl<'a> Run<'a> {
             self.rank_gaps();
         }
         let mut batch = Vec::with_capacity(BATCH);
+        self.queue.settle();
         'all: while self.living > self.block.rules.stop_faces {
             let version = &self.version;
             let current = |c: &Candidate| version[c.u as usize] + version[c.v as usize] == c.stamp;
+            if self.queue.is_full() {
+                self.queue.tidy(current);
+            }
             let Some(filed) = self.queue.pop(BATCH, &mut batch, current) else {
                 if self.widen() { continue } else { break }
             };
@@ -248,7 +255,7 @@ impl<'a> Run<'a> {
             }
         }
         let Self { mut block, vertices, faces, riders, rider_head, scale, queue, arena, version, .. } = self;
-        let Self { log, folded, levels, most_m, .. } = self;
+        let Self { log, moves, folded, levels, most_m, .. } = self;
         drop((queue, arena, version));
         block.samples = Rider::samples(riders, &rider_head);
         drop(rider_head);
@@ -257,7 +264,7 @@ impl<'a> Run<'a> {
         drop(faces);
         block.flags = vertices.iter().map(|v| v.mark.flags).collect();
         block.positions = vertices.iter().map(|v| v.at).collect();
-        Collapsed { block, log, folded, levels, most_m, scale }
+        Collapsed { block, log, moves, folded, levels, most_m, scale }
     }
 
     /// Every vertex's planes.
@@ -469,7 +476,8 @@ impl<'a> Run<'a> {
         let star = std::mem::take(&mut self.star);
         let ring = std::mem::take(&mut self.ring);
         let memoryless = self.block.rules.energy == Energy::Memoryless;
-        let borders = memoryless && ring.iter().chain([&u, &v]).any(|&w| self.vertices[w as usize].mark.flags & BORDER != 0);
+        let borders =
+            memoryless && ring.iter().chain([&u, &v]).any(|&w| self.vertices[w as usize].mark.flags & BORDER != 0);
         // Where faces fold, edges outside the star may open, too.
         let folds = !self.pairs.is_empty();
         match (borders, folds) {
@@ -632,13 +640,13 @@ impl<'a> Run<'a> {
 
     fn record(&mut self, u: u32, v: u32, position: DVec3, energy: f32) {
         let id = |v: u32| self.block.vertex_ids.get(v as usize).copied().unwrap_or(v);
-        let (kept, gone) = (id(u), id(v));
-        let position = self.block.origin + position;
         self.count += 1;
-        if self.block.rules.recorded || matches!(self.block.rules.limit, Limit::Scale(_)) {
-            self.log.push(Collapse { kept, gone, position, energy });
+        if let Limit::Scale(_) = self.block.rules.limit {
+            let position = self.block.origin + position;
+            self.log.push(Collapse { kept: id(u), gone: id(v), position, energy });
         }
         if self.block.rules.recorded {
+            self.moves.push(u, v, self.at(u), position, energy);
             let mut squared = [0f64; MOST_CLASSES];
             for step in &self.moved {
                 let classes = self.block.sample_classes.get(step.rider as usize).copied().unwrap_or(0);

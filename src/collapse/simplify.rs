@@ -246,13 +246,8 @@ impl<'a> Job<'a> {
 
     /// A sample for each vertex: with the strictest budget and all classes around it, and the weight of the largest face there.
     fn samples(&self) -> (Vec<Sample>, Vec<u8>) {
-        let sample = |&point: &DVec3| Sample {
-            point,
-            weight: 0.0,
-            budget_m: f32::INFINITY,
-            squared_m2: 0.0,
-            face: NONE,
-        };
+        let sample =
+            |&point: &DVec3| Sample { point, weight: 0.0, budget_m: f32::INFINITY, squared_m2: 0.0, face: NONE };
         let mut samples: Vec<Sample> = self.mesh.positions.iter().map(sample).collect();
         let mut classes = vec![0u8; samples.len()];
         let mut largest = vec![-1f32; samples.len()];
@@ -314,13 +309,14 @@ impl<'a> Job<'a> {
 
     fn sequence(&mut self, done: Collapsed) -> Sequence {
         let Mesh { mut positions, faces, .. } = std::mem::take(&mut self.mesh);
+        let events = done.moves.events(positions.clone(), self.origin);
         positions.iter_mut().for_each(|p| *p += self.origin);
         Sequence {
             positions,
             faces,
             labels: std::mem::take(&mut self.labels),
             grid_m: self.config.grid_m,
-            log: CollapseLog { events: done.log, levels: done.levels, most_m: done.most_m, folded: done.folded },
+            log: CollapseLog { events, levels: done.levels, most_m: done.most_m, folded: done.folded },
         }
     }
 }

@@ -36,8 +36,13 @@ impl Rider {
 
     /// The riders as samples again.
     pub fn samples(riders: Vec<Self>, head: &[u32]) -> Vec<Sample> {
-        let sample =
-            |Self { point, weight, budget_m, squared_m2, next }| Sample { point, weight, budget_m, squared_m2, face: next };
+        let sample = |Self { point, weight, budget_m, squared_m2, next }| Sample {
+            point,
+            weight,
+            budget_m,
+            squared_m2,
+            face: next,
+        };
         let mut samples: Vec<Sample> = riders.into_iter().map(sample).collect();
         for (&first, f) in head.iter().zip(0..) {
             let mut at = first;

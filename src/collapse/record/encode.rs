@@ -11,7 +11,7 @@ use super::coder::Encoder;
 use super::file::{About, ChunkInfo, Header, Layout, least_bytes};
 use super::history::{History, on_grid};
 use super::live::{Fold, Live, Star, Wing};
-use super::split::{Models, Split};
+use super::split::{GROUP, Models, Split};
 use super::{MAX_CLASSES, Sequence};
 use crate::collapse::{Collapse, CollapseLog};
 use crate::{Error, Result};
@@ -39,7 +39,7 @@ pub fn encode(mut sequence: Sequence, about: &About) -> Result<Vec<u8>> {
     }
     let (infos, payloads): (Vec<ChunkInfo>, Vec<Vec<u8>>) = chunks.into_iter().unzip();
     let header = Header::new(about, grid_m, &infos);
-    Ok(Layout::write(&header, &payloads))
+    Ok(Layout::write(&header, payloads))
 }
 
 /// How far the mesh has deviated after each event, and where chunks end.
@@ -100,6 +100,8 @@ struct Writer<'a> {
     models: Models,
     live: Live,
     star: Star,
+    /// Vertices that split next.
+    group: Vec<u32>,
     /// Per source vertex: the record's number.
     number: Vec<u32>,
     /// Per face of the record: the source's number.
@@ -120,6 +122,7 @@ impl<'a> Writer<'a> {
             models: Models::new(about.tracked_classes(), history.grid_m),
             live: Live::with_room(history.points.len(), history.faces.len()),
             star: Star::default(),
+            group: Vec::with_capacity(GROUP),
             number: Vec::new(),
             source_face: Vec::with_capacity(history.faces.len()),
             stamp: vec![0; history.faces.len()],
@@ -163,27 +166,43 @@ impl<'a> Writer<'a> {
     /// Events `begin..end`, the last one first.
     fn chunk(&mut self, begin: usize, end: usize, marks: &Marks) -> Result<(ChunkInfo, Vec<u8>)> {
         let mut coder = Encoder::new();
-        let faces_before = self.live.faces.len();
-        for i in (begin..end).rev() {
-            self.split(&mut coder, i, marks)?;
+        let faces_before = self.live.faces();
+        for end in (begin + 1..=end).rev().step_by(GROUP) {
+            let group = (begin.max(end.saturating_sub(GROUP))..end).rev();
+            self.name_kept(&mut coder, group.clone());
+            for i in group {
+                self.split(&mut coder, i, marks)?;
+            }
         }
         let energies = &marks.energy[begin..end];
         let info = ChunkInfo {
             events: (end - begin) as u32,
-            faces: self.live.faces.len() as u32,
-            vertices: self.live.points.len() as u32,
+            faces: self.live.faces() as u32,
+            vertices: self.live.vertices() as u32,
             energy: [energies.iter().min().copied().unwrap_or(0), energies.iter().max().copied().unwrap_or(0)],
             bounds: marks.bounds(begin),
             ..ChunkInfo::default()
         };
-        Ok(finished(info, coder, (end - begin).max(self.live.faces.len() - faces_before)))
+        Ok(finished(info, coder, (end - begin).max(self.live.faces() - faces_before)))
+    }
+
+    /// Numbers the vertices that `events` bring back, and codes those that they split.
+    fn name_kept(&mut self, coder: &mut Encoder, events: impl Iterator<Item = usize>) {
+        self.group.clear();
+        for (i, vertices) in events.zip(self.live.vertices()..) {
+            let Collapse { kept, gone, .. } = self.history.events[i];
+            self.number[gone as usize] = vertices as u32;
+            let kept = self.number[kept as usize];
+            self.models.code_kept(coder, vertices, kept);
+            self.group.push(kept);
+        }
+        self.live.fetch(&self.group);
     }
 
     fn split(&mut self, coder: &mut Encoder, i: usize, marks: &Marks) -> Result<()> {
         let history = self.history;
         let Collapse { kept: old, gone, .. } = history.events[i];
         let kept = self.number[old as usize];
-        self.models.code_kept(coder, &self.live, kept);
         self.live.star(kept, &mut self.star);
         for &f in history.left(i) {
             self.stamp[f as usize] = i as u32 + 1;
@@ -218,7 +237,7 @@ impl<'a> Writer<'a> {
         let coded = self.models.code(coder, &self.live, &mut self.star, &mut split, usize::MAX);
         coded.map_err(|what| Error::Bug(format!("event {i} has {what}")))?;
         self.live.split(&self.star, &split);
-        self.number[gone as usize] = self.live.points.len() as u32 - 1;
+        debug_assert_eq!(self.number[gone as usize], self.live.vertices() as u32 - 1);
         self.source_face.extend(split.wings.iter().map(|w| w.tag).chain(split.folds.iter().map(|f| f.tag)));
         Ok(())
     }

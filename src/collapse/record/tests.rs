@@ -247,7 +247,7 @@ proptest! {
             let length = dice.below(parts[part].len());
             parts[part].truncate(length);
         }
-        if let Ok(decoded) = opened(file::Layout::write(&header, &parts)).and_then(|r| r.decode(usize::MAX)) {
+        if let Ok(decoded) = opened(file::Layout::write(&header, parts.clone())).and_then(|r| r.decode(usize::MAX)) {
             for splits in 0..=decoded.len() {
                 check_valid(&decoded.at(splits));
             }
@@ -296,7 +296,7 @@ fn sizes_that_the_file_cannot_hold_are_refused_before_anything_is_made_of_them()
     for change in spoil {
         let mut header = header.clone();
         change(&mut header);
-        let error = opened(file::Layout::write(&header, &parts)).unwrap_err();
+        let error = opened(file::Layout::write(&header, parts.clone())).unwrap_err();
         assert!(error.to_string().contains("the header says"), "{error}");
     }
 }

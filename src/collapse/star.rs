@@ -86,9 +86,8 @@ impl Arena {
         // A list's first face and its owner change places: that is the way back from the list to the owner.
         for (owner, v) in owners.iter_mut().zip(OWNER..) {
             let Span { start, len } = span(owner);
-            if *len > 0 {
-                *start = std::mem::replace(&mut self.faces[*start as usize], v);
-            }
+            // An empty list begins where there always is something.
+            *start = if *len > 0 { std::mem::replace(&mut self.faces[*start as usize], v) } else { 0 };
         }
         let (mut from, mut to) = (0, 0);
         while from < self.faces.len() {

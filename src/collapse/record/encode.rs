@@ -100,6 +100,8 @@ struct Writer<'a> {
     models: Models,
     live: Live,
     star: Star,
+    /// The split before, for the room its lists have.
+    split: Split,
     /// Vertices that split next.
     group: Vec<u32>,
     /// Per source vertex: the record's number.
@@ -122,6 +124,7 @@ impl<'a> Writer<'a> {
             models: Models::new(about.tracked_classes(), history.grid_m),
             live: Live::with_room(history.points.len(), history.faces.len()),
             star: Star::default(),
+            split: Split::default(),
             group: Vec::with_capacity(GROUP),
             number: Vec::new(),
             source_face: Vec::with_capacity(history.faces.len()),
@@ -224,11 +227,18 @@ impl<'a> Writer<'a> {
             let [a, b] = [face[(k + 1) % 3], face[(k + 2) % 3]].map(|v| self.number[v as usize]);
             Fold { of_new, a, b, class: self.classes[*f as usize], tag: *f }
         };
+        let Split { leaves: mut sides, mut wings, mut folds, .. } = std::mem::take(&mut self.split);
+        sides.clear();
+        sides.extend(self.star.spokes.iter().map(|s| leaves(s.corner)));
+        wings.clear();
+        wings.extend(history.died(i).iter().map(wing));
+        folds.clear();
+        folds.extend(history.folded(i).iter().map(|(_, f)| fold(f)));
         let mut split = Split {
             kept,
-            folds: history.folded(i).iter().map(|(_, f)| fold(f)).collect(),
-            leaves: self.star.spokes.iter().map(|s| leaves(s.corner)).collect(),
-            wings: history.died(i).iter().map(wing).collect(),
+            leaves: sides,
+            wings,
+            folds,
             kept_at: on_grid(history.events[i].position.to_array(), history.grid_m)?,
             gone_at: history.points[gone as usize],
             deviation: marks.own[i],
@@ -239,6 +249,7 @@ impl<'a> Writer<'a> {
         self.live.split(&self.star, &split);
         debug_assert_eq!(self.number[gone as usize], self.live.vertices() as u32 - 1);
         self.source_face.extend(split.wings.iter().map(|w| w.tag).chain(split.folds.iter().map(|f| f.tag)));
+        self.split = split;
         Ok(())
     }
 }

@@ -63,6 +63,8 @@ pub struct Models {
     was_energy_delta: bool,
     classes: usize,
     step_m: f64,
+    /// An empty list that has room already.
+    spare: Vec<Wing>,
 }
 
 /// The new vertex lies this share of the way from the middle of its neighbours to the one it splits off (0.2 to 0.4: the
@@ -93,6 +95,7 @@ impl Models {
             was_energy_delta: false,
             classes,
             step_m,
+            spare: Vec::new(),
         }
     }
 
@@ -150,7 +153,7 @@ impl Models {
         split: &mut Split,
         most: usize,
     ) -> Result<(), &'static str> {
-        let mut given = std::mem::take(&mut split.wings);
+        let mut given = std::mem::replace(&mut split.wings, std::mem::take(&mut self.spare));
         let wings = &mut split.wings;
         for rim in &star.rims {
             for so_far in 0.. {
@@ -189,6 +192,8 @@ impl Models {
             wing.class = self.code_class(coder, [like; 2], wing.class);
             wings.push(wing);
         }
+        given.clear();
+        self.spare = given;
         Ok(())
     }
 

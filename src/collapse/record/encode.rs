@@ -25,16 +25,17 @@ const MOST_EVENTS: usize = 8192;
 /// [`Error::Bug`] for a sequence that breaks its promises: a position off the grid, an event of a vertex that is gone.
 pub fn encode(mut sequence: Sequence, about: &About) -> Result<Vec<u8>> {
     let grid_m = sequence.grid_m;
-    let classes: Vec<u8> = sequence.labels.iter().map(|c| c.0).collect();
+    let classes: Vec<u8> = std::mem::take(&mut sequence.labels).into_iter().map(|c| c.0).collect();
     let marks = Marks::of(&mut sequence.log, about.tracked_classes());
     let history = History::of(sequence)?;
     let events = history.events.len();
-    let mut writer = Writer::new(&history, &classes, about)?;
+    let mut writer = Writer::new(history, &classes, about)?;
     let mut chunks = vec![writer.base(marks.bounds(events))?];
     let mut end = events;
     while end > 0 {
         let begin = marks.begin_of_chunk(end);
         chunks.push(writer.chunk(begin, end, &marks)?);
+        writer.history.forget(begin);
         end = begin;
     }
     let (infos, payloads): (Vec<ChunkInfo>, Vec<Vec<u8>>) = chunks.into_iter().unzip();
@@ -95,7 +96,7 @@ fn energy_level(energy: f32) -> i16 {
 }
 
 struct Writer<'a> {
-    history: &'a History,
+    history: History,
     classes: &'a [u8],
     models: Models,
     live: Live,
@@ -114,12 +115,11 @@ struct Writer<'a> {
 }
 
 impl<'a> Writer<'a> {
-    fn new(history: &'a History, classes: &'a [u8], about: &About) -> Result<Self> {
+    fn new(history: History, classes: &'a [u8], about: &About) -> Result<Self> {
         if classes.len() != history.faces.len() || classes.iter().any(|c| usize::from(*c) >= about.scheme.len()) {
             return Err(Error::Bug("the faces of a sequence need a class of its scheme each".into()));
         }
         Ok(Self {
-            history,
             classes,
             models: Models::new(about.tracked_classes(), history.grid_m),
             live: Live::with_room(history.points.len(), history.faces.len()),
@@ -129,12 +129,13 @@ impl<'a> Writer<'a> {
             number: Vec::new(),
             source_face: Vec::with_capacity(history.faces.len()),
             stamp: vec![0; history.faces.len()],
+            history,
             energy: 0,
         })
     }
 
     fn base(&mut self, bounds: [u8; MAX_CLASSES]) -> Result<(ChunkInfo, Vec<u8>)> {
-        let history = self.history;
+        let history = &self.history;
         let ids: Vec<u32> = (0..history.faces.len() as u32).filter(|&f| history.alive[f as usize]).collect();
         let faces: Vec<[u32; 3]> = ids.iter().map(|&f| history.faces[f as usize]).collect();
         let classes: Vec<u8> = ids.iter().map(|&f| self.classes[f as usize]).collect();
@@ -203,7 +204,7 @@ impl<'a> Writer<'a> {
     }
 
     fn split(&mut self, coder: &mut Encoder, i: usize, marks: &Marks) -> Result<()> {
-        let history = self.history;
+        let history = &self.history;
         let Collapse { kept: old, gone, .. } = history.events[i];
         let kept = self.number[old as usize];
         self.live.star(kept, &mut self.star);

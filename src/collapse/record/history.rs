@@ -133,6 +133,19 @@ impl History {
         self.events[i].position = before.map(|x| x as f64 * self.grid_m).into();
     }
 
+    /// Lets go what is known of the events from `end` on, for what is written of them takes as much again.
+    pub fn forget(&mut self, end: usize) {
+        fn cut<T>(items: &mut Vec<T>, end: usize) {
+            items.truncate(end);
+            items.shrink_to_fit();
+        }
+        cut(&mut self.died, self.died_start[end] as usize);
+        cut(&mut self.left, self.left_start[end] as usize);
+        cut(&mut self.died_start, end + 1);
+        cut(&mut self.left_start, end + 1);
+        cut(&mut self.events, end);
+    }
+
     /// Faces that event `i` folded: with its number.
     pub fn folded(&self, i: usize) -> &[(u32, u32)] {
         let begin = self.folded.partition_point(|f| (f.0 as usize) < i);

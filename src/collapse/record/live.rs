@@ -126,7 +126,7 @@ impl Live {
         Self {
             vertices: Vec::with_capacity(vertices),
             faces: Vec::with_capacity(faces),
-            corners: Vec::with_capacity(5 * faces),
+            corners: Vec::with_capacity(6 * faces),
         }
     }
 

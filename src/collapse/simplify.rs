@@ -18,15 +18,22 @@
 //! squares; a limit of four times the root mean square (mean +3 to +30 %).
 //!
 //! # Cost
-//! To 10 % of 295 000 faces, processor time of the call over meshoptimizer's (0.17 to 0.25 s) in the same run:
-//! untracked 2.0 to 2.2, tracked with the sequence 3.4 to 4.1, refitted 5.5 to 7; CGAL's Lindstrom–Turk 20 to 27.
-//! Peak, bytes a face: 185, 254, 221; the same with an input that has to stay adds the input.
-//! Where the time goes: waiting for memory, as edges leave the queue in no order that a cache could know.
+//! To 10 % of 295 000 faces, processor time of the call over meshoptimizer's (0.27 s on a busy machine) in the same run:
+//! untracked 1.6, tracked with the sequence 2.8, refitted 4.8; CGAL's Lindstrom–Turk 20 to 27. From 0.25 to 3.03 million
+//! faces a face takes 1.23 times as long untracked (1.40 before), 1.10 tracked.
+//! Peak of the whole process, bytes a face, of 3.0 and 0.3 million faces: 112 and 193, 169 and 240, 150 and 221. Of these
+//! the process itself takes 12 MB (43 of 0.3 million), and holes in the heap some 40 of the small mesh, for glibc hands
+//! nothing back below 32 MB. An input that has to stay (a texture is baked from it) is added.
+//! Where the time goes: waiting for memory.
 //! What paid (untracked, meshoptimizer's = 1): forms about their own vertex, six numbers instead of ten, and edges and
 //! vertices ordered by counting (3.8 → 3.2); f32 for the forms that wait, so that a vertex is one line (→ 2.9, error the
 //! same to four digits); both stars copied before anything is decided, and border planes kept up by the star's edges
-//! instead of whole rings (→ 2.45); 10 candidates read ahead at once (→ 2.3); nothing large moved about (→ 2.1).
-//! Tracked: samples listed face by face in turn (−12 %). What did not: batches of 6 or 16 instead of 10.
+//! instead of whole rings (→ 2.45); 10 candidates read ahead at once (→ 2.3); nothing large moved about (→ 2.1); a vertex
+//! in truth one line, not two (it had 65 bytes), large buckets handled in order of place, 24 read ahead (→ 1.6).
+//! Tracked: samples listed face by face in turn (−12 %).
+//! What paid in memory (bytes a face, untracked 174 → 112, with the sequence 251 → 169, refitted 217 → 150): vertices of one
+//! line (35), the queue's pool of chunks (17) without what is out of date (4), stars that move together (10), deviations as
+//! levels (11), moves instead of places (7), samples of 40 bytes (4), points of the refit without their places (30).
 //!
 //! # Promises
 //! At scale t no source vertex is further than t·b of its class from the cut (`the_scale_bounds_every_vertex`); no new

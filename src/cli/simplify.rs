@@ -212,7 +212,7 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     };
     let (source_faces, keeps_classes) = (mesh.faces.len(), are_classes_wanted(&mesh, args));
     let scheme = classes.scheme.clone();
-    let simple = if is_painted {
+    let mut simple = if is_painted {
         collapse::simplify(&mesh, &classes, &config)
     } else {
         collapse::simplify_owned(std::mem::take(&mut mesh), classes, &config)
@@ -235,7 +235,9 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         Some(texture) => painted::files(&plain, &texture.paint, &args.out, format, &scheme)?,
         None => vec![(args.out.clone(), plain.bytes(format, &scheme)?)],
     };
-    let recorded = simple.sequence.as_ref().map(|sequence| record::encode(sequence, &about)).transpose()?;
+    let bounds = bounds(&simple, &about);
+    let collapses = simple.sequence.as_ref().map(|s| s.log.events.len());
+    let recorded = simple.sequence.take().map(|sequence| record::encode(sequence, &about)).transpose()?;
     let mut files: Vec<(&Path, &[u8])> = made.iter().map(|(path, bytes)| (path.as_path(), bytes.as_slice())).collect();
     let bytes: usize = files.iter().map(|f| f.1.len()).sum();
     files.extend(args.record.as_deref().zip(recorded.as_deref()));
@@ -245,13 +247,12 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         record_bytes.map(|n| format!(", record {n} bytes, {:.2} a source triangle", n as f64 / gate.faces as f64));
     stage.finish(format!("{bytes} bytes{}", noted.unwrap_or_default()));
 
-    let bounds = bounds(&simple, &about);
     let report = json!({
         "out": args.out,
         "method": args.method.name(),
         "source_faces": source_faces,
         "faces": plain.faces.len(),
-        "collapses": simple.sequence.as_ref().map(|s| s.log.events.len()),
+        "collapses": collapses,
         "bounds_m": bounds_by_name(&about, &bounds),
         "bytes": bytes,
         "texture": texture.as_ref().map(|t| json!({ "size_px": t.size_px, "texel_m": t.texel_m })),
@@ -377,9 +378,7 @@ fn target(args: &Args, mesh: &Mesh, scheme: &ClassScheme) -> Target {
 fn bounds(simple: &Simplified, about: &About) -> [f64; MAX_CLASSES] {
     let mut most = [0f64; MAX_CLASSES];
     match &simple.sequence {
-        Some(sequence) => sequence.log.deviations_m.iter().for_each(|deviations_m| {
-            most.iter_mut().zip(deviations_m).for_each(|(m, d)| *m = m.max(f64::from(*d)));
-        }),
+        Some(sequence) => most = sequence.log.most_m.map(f64::from),
         None => most.iter_mut().zip(&about.scheme.0).for_each(|(m, c)| *m = simple.scale * c.budget_m),
     }
     most

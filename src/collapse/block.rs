@@ -7,6 +7,7 @@
 
 use glam::DVec3;
 
+use super::log::Moves;
 use super::run::Run;
 use super::{Collapse, MOST_CLASSES};
 use crate::geo::Rect;
@@ -93,11 +94,14 @@ pub struct Block<'a> {
     pub boxes: &'a [Rect],
     /// Per tracked sample.
     pub samples: Vec<Sample>,
+    /// Per sample: the classes of the faces around it in the source, a bit each; the last bit stands for all later ones.
+    /// Empty where nothing is recorded.
+    pub sample_classes: Vec<u8>,
     /// See there.
     pub rules: Rules,
 }
 
-/// A point of the source that the surface must stay near.
+/// A point of the source that the surface must stay near, in 40 bytes.
 #[derive(Debug, Clone, Copy)]
 pub struct Sample {
     /// Relative to the block's origin.
@@ -110,21 +114,22 @@ pub struct Sample {
     pub squared_m2: f32,
     /// The face it rides on.
     pub face: u32,
-    /// The classes of the faces around it in the source, a bit each; the last bit stands for all later ones.
-    pub classes: u8,
 }
 
 /// What a collapse leaves.
 pub struct Collapsed<'a> {
     /// Faces that died have `NONE` as first corner; positions of vertices that died are stale.
     pub block: Block<'a>,
-    /// What was done, in order; empty where nobody asks for it and the limit grows or there is none, for there one block is
-    /// the whole mesh.
+    /// What was done, in order, where the limit is a scale: there a block is a part of a mesh.
     pub log: Vec<Collapse>,
+    /// What was done, if it was to be recorded.
+    pub(super) moves: Moves,
     /// Faces that died because they folded onto others: index of the collapse, face.
     pub folded: Vec<(u32, u32)>,
     /// Per collapse, if recorded: see [`CollapseLog`](super::CollapseLog).
-    pub deviations: Vec<[f32; MOST_CLASSES]>,
+    pub levels: Vec<[u8; MOST_CLASSES]>,
+    /// Of all collapses: see [`CollapseLog`](super::CollapseLog).
+    pub most_m: [f32; MOST_CLASSES],
     /// Scale reached.
     pub scale: f64,
 }

@@ -74,7 +74,7 @@ impl Run<'_> {
     fn mark(&mut self, w: u32) -> &mut Mark {
         let mark = &mut self.vertices[w as usize].mark;
         if mark.stamp != self.stamp {
-            *mark = Mark { stamp: self.stamp, ..Mark::default() };
+            mark.renew(self.stamp);
             self.ring.push(w);
         }
         mark

@@ -44,6 +44,7 @@
 
 mod block;
 mod blocks;
+mod change;
 mod energy;
 mod legal;
 mod log;

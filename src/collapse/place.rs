@@ -78,7 +78,7 @@ impl Run<'_> {
                 shared = (shared.0 + 1, *f);
             }
         }
-        if shared.0 == 1 && self.vertices[u as usize].flags & self.vertices[v as usize].flags & BORDER != 0 {
+        if shared.0 == 1 && self.vertices[u as usize].mark.flags & self.vertices[v as usize].mark.flags & BORDER != 0 {
             let (n, weight) = self.border_plane(u, v, shared.1);
             pull.take(n, weight);
         }
@@ -86,12 +86,12 @@ impl Run<'_> {
 
     /// Hands out the planes along the open border at `v`: unit normal and weight.
     pub(super) fn borders_of(&self, v: u32, mut add: impl FnMut(DVec3, f64)) {
-        if self.vertices[v as usize].flags & BORDER == 0 {
+        if self.vertices[v as usize].mark.flags & BORDER == 0 {
             return;
         }
         for &f in self.star_of(v) {
             for w in self.faces[f as usize].corners {
-                if w != v && self.vertices[w as usize].flags & BORDER != 0 && self.shared_faces(v, w) == 1 {
+                if w != v && self.vertices[w as usize].mark.flags & BORDER != 0 && self.shared_faces(v, w) == 1 {
                     let (n, weight) = self.border_plane(v, w, f);
                     add(n, weight);
                 }
@@ -122,7 +122,7 @@ impl Run<'_> {
     pub(super) fn rank_gaps(&mut self) {
         let reach = self.block.rules.gap_reach_m;
         let open: Vec<u32> = (0..self.vertices.len() as u32)
-            .filter(|&v| self.vertices[v as usize].flags & (BORDER | LOCKED) == BORDER && self.is_open(v))
+            .filter(|&v| self.vertices[v as usize].mark.flags & (BORDER | LOCKED) == BORDER && self.is_open(v))
             .collect();
         let cell = |p: DVec3| (p / reach).floor().as_i64vec3();
         let mut grid: HashMap<I64Vec3, Vec<u32>> = HashMap::new();
@@ -228,12 +228,16 @@ impl<'a> Pull<'a> {
 #[inline(always)]
 fn start(u: &Vertex, v: &Vertex) -> Option<(DVec3, u8)> {
     let middle = (u.at + v.at) * 0.5;
-    if (u.flags | v.flags) & (LOCKED | FIX_X | FIX_Y) == 0 { Some((middle, 0)) } else { constrained(u, v, middle) }
+    if (u.mark.flags | v.mark.flags) & (LOCKED | FIX_X | FIX_Y) == 0 {
+        Some((middle, 0))
+    } else {
+        constrained(u, v, middle)
+    }
 }
 
 fn constrained(u: &Vertex, v: &Vertex, mut start: DVec3) -> Option<(DVec3, u8)> {
-    let (mu, mv) = (u.flags & (FIX_X | FIX_Y), v.flags & (FIX_X | FIX_Y));
-    if (u.flags | v.flags) & LOCKED != 0 || (mu & mv != mu && mu & mv != mv) {
+    let (mu, mv) = (u.mark.flags & (FIX_X | FIX_Y), v.mark.flags & (FIX_X | FIX_Y));
+    if (u.mark.flags | v.mark.flags) & LOCKED != 0 || (mu & mv != mu && mu & mv != mv) {
         return None;
     }
     let (fixed_u, fixed_v) = (fixed(mu), fixed(mv));
@@ -254,6 +258,6 @@ fn fixed(mask: u8) -> [bool; 3] {
 
 /// `target` if `vertex` may move there.
 fn keeps(vertex: &Vertex, target: DVec3) -> Option<DVec3> {
-    let [x, y, _] = fixed(vertex.flags);
+    let [x, y, _] = fixed(vertex.mark.flags);
     ((!x || vertex.at.x == target.x) && (!y || vertex.at.y == target.y)).then_some(target)
 }

@@ -46,11 +46,9 @@ const SLIVER: f64 = 0.02;
 /// A point looks this many rings around for a nearer face.
 const MOST_WALKS: usize = 3;
 
-/// A place on the source that pulls the surface.
+/// A place on the source that pulls the surface. Where it is, see [`Source`].
 #[derive(Debug, Clone, Copy)]
 pub struct Point {
-    /// Where.
-    pub at: DVec3,
     /// Area · Σ P(c|f)/b_c².
     pub weight: f32,
     /// The surface must stay this near, metres, if it is.
@@ -63,8 +61,25 @@ pub struct Point {
 
 impl Point {
     /// A point that starts its search at `face`.
-    pub fn new(at: DVec3, weight: f32, limit_m: f32, face: u32) -> Self {
-        Self { at, weight, limit_m, face, bary: [0.0; 3], distance_m: 0.0 }
+    pub fn new(weight: f32, limit_m: f32, face: u32) -> Self {
+        Self { weight, limit_m, face, bary: [0.0; 3], distance_m: 0.0 }
+    }
+}
+
+/// Where the points are: first the vertices of the source, then the centres of its faces. To keep these beside them
+/// would take 36 bytes a face, and be the peak of a run.
+#[derive(Debug, Clone, Copy)]
+pub struct Source<'a> {
+    /// Of its vertices.
+    pub positions: &'a [DVec3],
+    /// Indices into `positions`.
+    pub faces: &'a [[u32; 3]],
+}
+
+impl Source<'_> {
+    fn at(&self, i: usize) -> DVec3 {
+        let center = |f: usize| self.faces[f].iter().map(|&v| self.positions[v as usize]).sum::<DVec3>() / 3.0;
+        self.positions.get(i).copied().unwrap_or_else(|| center(i - self.positions.len()))
     }
 }
 
@@ -75,16 +90,17 @@ struct Refit<'a> {
     normals: Vec<DVec3>,
     stars: Stars,
     points: &'a mut [Point],
+    source: Source<'a>,
     /// Nothing was associated yet.
     first: bool,
 }
 
 /// Refits the cut; `points` end on the faces nearest to them.
-pub fn refit(positions: &mut [DVec3], faces: &mut [[u32; 3]], points: &mut [Point]) {
+pub fn refit(positions: &mut [DVec3], faces: &mut [[u32; 3]], points: &mut [Point], source: Source) {
     let stars = Stars::of(positions.len(), faces);
     let normals = faces.iter().map(|f| cross(f.map(|v| positions[v as usize])).normalize_or_zero()).collect();
     let start = positions.to_vec();
-    let mut refit = Refit { positions, faces, normals, stars, points, first: true };
+    let mut refit = Refit { positions, faces, normals, stars, points, source, first: true };
     for _ in 0..PASSES {
         refit.associate();
         refit.fit(&start);
@@ -100,24 +116,25 @@ impl Refit<'_> {
 
     fn associate(&mut self) {
         let mut points = std::mem::take(&mut self.points);
-        points.par_iter_mut().for_each_init(Vec::new, |seen, point| self.find(point, seen));
+        let find = |seen: &mut Vec<u32>, (i, point): (usize, &mut Point)| self.find(point, self.source.at(i), seen);
+        points.par_iter_mut().enumerate().for_each_init(Vec::new, find);
         std::mem::swap(&mut self.points, &mut points);
         self.first = false;
     }
 
     /// Walks to the nearest face, ring by ring.
-    fn find(&self, point: &mut Point, seen: &mut Vec<u32>) {
+    fn find(&self, point: &mut Point, at: DVec3, seen: &mut Vec<u32>) {
         seen.clear();
         seen.push(point.face);
-        let (mut best, mut from) = ((f64::INFINITY, point.face, point.at), 0);
+        let (mut best, mut from) = ((f64::INFINITY, point.face, at), 0);
         for walk in 0..=MOST_WALKS {
             let before = best.1;
             for &f in &seen[from..] {
                 let corners = self.corners(f);
-                let off_plane = self.normals[f as usize].dot(point.at - corners[0]);
+                let off_plane = self.normals[f as usize].dot(at - corners[0]);
                 if off_plane * off_plane < best.0 {
-                    let on = closest_on_triangle(point.at, &corners);
-                    let squared = (on - point.at).length_squared();
+                    let on = closest_on_triangle(at, &corners);
+                    let squared = (on - at).length_squared();
                     if squared < best.0 {
                         best = (squared, f, on);
                     }
@@ -196,7 +213,7 @@ impl Refit<'_> {
             }
             let weight = f64::from(point.weight) / (f64::from(point.distance_m) + least) * share * share;
             // n · (on + share·(x − here) − point) = 0, divided by the share.
-            let rest = (on - here * share - point.at) / share;
+            let rest = (on - here * share - self.source.at(i as usize)) / share;
             let n = self.normals[point.face as usize];
             sum += Quadric::of_plane(n, n.dot(rest), weight);
             total += weight;
@@ -230,8 +247,10 @@ impl Refit<'_> {
             let point = &self.points[i as usize];
             let limit = f64::from(point.limit_m.max(point.distance_m));
             // The step moves the point's spot by at most a step.
-            f64::from(point.distance_m) + step > limit
-                && (closest_on_triangle(point.at, &moved(point.face)) - point.at).length() > limit
+            f64::from(point.distance_m) + step > limit && {
+                let at = self.source.at(i as usize);
+                (closest_on_triangle(at, &moved(point.face)) - at).length() > limit
+            }
         };
         to.is_finite() && !self.stars.faces(v).iter().any(flips) && pulled.iter().find(leaves).is_none()
     }
@@ -267,7 +286,8 @@ impl Refit<'_> {
         let mut placed = Vec::with_capacity(on_face[f as usize].len() + on_face[g as usize].len());
         for &i in on_face[f as usize].iter().chain(&on_face[g as usize]) {
             let point = &self.points[i as usize];
-            let distance = corners.map(|t| (closest_on_triangle(point.at, &t) - point.at).length());
+            let at = self.source.at(i as usize);
+            let distance = corners.map(|t| (closest_on_triangle(at, &t) - at).length());
             let side = usize::from(distance[1] < distance[0]);
             if distance[side] > f64::from(point.limit_m.max(point.distance_m)) {
                 return false;

@@ -2,29 +2,31 @@
 //!
 //! # Method
 //! 1. `rank`: every edge gets an energy; the queue orders them.
-//! 2. A popped edge is placed. It is filed anew if its energy grew, or if its samples say that the true change of squared
+//! 2. `place`: a popped edge is placed. It is filed anew if its energy grew, or if its samples say that the true change of squared
 //!    distance is larger than the energy: forms see the last surface only, samples remember the source.
 //! 3. `legal`: no flips, no new non-manifold edges; faces that fold onto each other vanish in pairs.
 //! 4. `track`: samples of the two stars move to the nearest new face, within their limit.
-//! 5. The collapse is done: faces, forms and samples of the star change, edges of the new star are ranked.
+//! 5. `change`: the collapse is done.
 
 use glam::{DVec3, Vec3};
 
-use super::block::{BORDER, Block, Collapsed, Energy, Limit};
+use super::block::{Block, Collapsed, Energy, Limit};
 use super::energy::{Facet, Form, Quadric, SmallForm};
+use super::log::Moves;
 use super::queue::{Candidate, Queue};
 use super::star::{Arena, Span};
 use super::track::{Move, Rider};
 use super::{Collapse, MOST_CLASSES, NONE};
 
-/// An edge is filed again, not collapsed, when its energy grew by more than this since it was ranked.
-const STALE_FACTOR: f32 = 1.1;
+/// An edge is filed again, not collapsed, when its energy is this many times the least of its bucket. More than a bucket
+/// is wide, or it would be filed where it came from.
+const STALE_FACTOR: f32 = 1.35;
 /// Refused edges are tried again when the limit has grown by this.
 const RETRY_FACTOR: f64 = 1.5;
 /// Candidates that are fetched together.
-const BATCH: usize = 10;
+const BATCH: usize = 24;
 /// Version of a vertex without faces: no sum with it is one that an edge was filed under.
-const GONE: u32 = 1 << 30;
+pub(super) const GONE: u32 = 1 << 30;
 
 /// A vertex of the surface, in one line of memory: stars are visited in no order that a cache could know.
 #[derive(Clone, Copy)]
@@ -38,9 +40,10 @@ pub(super) struct Vertex {
     pub star: Span,
     /// See there.
     pub mark: Mark,
-    /// `LOCKED`, `FIX_X`, `FIX_Y`, `BORDER`.
-    pub flags: u8,
 }
+
+// A byte more, and the alignment would make it two lines.
+const _: () = assert!(size_of::<Vertex>() == 64 && size_of::<Face>() == 32);
 
 /// A face of the surface, in 32 bytes.
 #[derive(Clone, Copy)]
@@ -56,23 +59,37 @@ pub(super) struct Face {
 }
 
 impl Face {
-    fn form(&self) -> Form {
+    pub fn form(&self) -> Form {
         Form::of_plane(self.normal.as_dvec3(), f64::from(self.weight))
     }
 
-    fn lie(&mut self, facet: &Facet) {
+    pub fn lie(&mut self, facet: &Facet) {
         (self.normal, self.weight) = (facet.normal, facet.area * self.omega);
     }
 }
 
-/// How many faces a vertex shares with the ends of the edge under test; valid while `stamp` is the run's.
-#[derive(Clone, Copy, Default)]
+/// How many faces a vertex shares with the ends of the edge under test, valid while `stamp` is the run's; and what it may
+/// do at all times.
+#[derive(Clone, Copy)]
 pub(super) struct Mark {
     pub stamp: u32,
+    /// `LOCKED`, `FIX_X`, `FIX_Y`, `BORDER`.
+    pub flags: u8,
     pub of_u: u8,
     pub of_v: u8,
     /// Faces counted that will not be there.
     pub dying: u8,
+}
+
+impl Mark {
+    fn of(flags: u8) -> Self {
+        Self { stamp: 0, flags, of_u: 0, of_v: 0, dying: 0 }
+    }
+
+    /// Of no face yet, for the run's `stamp`.
+    pub fn renew(&mut self, stamp: u32) {
+        *self = Self { stamp, ..Self::of(self.flags) };
+    }
 }
 
 /// A face of a star as it would be after the collapse under test.
@@ -123,11 +140,13 @@ pub(super) struct Run<'a> {
     area_m2: f64,
     held: Vec<(Candidate, f32)>,
     held_at: f64,
-    log: Vec<Collapse>,
-    folded: Vec<(u32, u32)>,
-    deviations: Vec<[f32; MOST_CLASSES]>,
+    pub log: Vec<Collapse>,
+    pub moves: Moves,
+    pub folded: Vec<(u32, u32)>,
+    pub levels: Vec<[u8; MOST_CLASSES]>,
+    pub most_m: [f32; MOST_CLASSES],
     /// Collapses so far.
-    count: u32,
+    pub count: u32,
 }
 
 /// What became of a candidate.
@@ -151,8 +170,7 @@ impl<'a> Run<'a> {
         let (arena, spans) = Arena::of(block.positions.len(), &block.faces);
         let flags = std::mem::take(&mut block.flags);
         let vertices = std::mem::take(&mut block.positions).into_iter().zip(flags).zip(spans);
-        let vertex =
-            |((at, flags), star)| Vertex { at, form: SmallForm::default(), star, mark: Mark::default(), flags };
+        let vertex = |((at, flags), star)| Vertex { at, form: SmallForm::default(), star, mark: Mark::of(flags) };
         let vertices: Vec<Vertex> = vertices.map(vertex).collect();
         let omega = std::mem::take(&mut block.omega);
         let mut area_m2 = 0.0;
@@ -163,7 +181,8 @@ impl<'a> Run<'a> {
             Face { corners, normal: facet.normal, weight: facet.area * omega, omega }
         };
         let faces: Vec<Face> = std::mem::take(&mut block.faces).into_iter().zip(0..).map(face).collect();
-        let riders: Vec<Rider> = std::mem::take(&mut block.samples).into_iter().map(Rider::of).collect();
+        let samples = std::mem::take(&mut block.samples);
+        let (riders, rider_head) = Rider::all(samples, if tracked { faces.len() } else { 0 });
         let deviation = riders.iter().map(|s| f64::from(s.weight) * f64::from(s.squared_m2)).sum();
         // Room that is not used costs nothing; to move what grows leaves holes.
         let most = if block.rules.recorded { faces.len().saturating_sub(block.rules.stop_faces) / 2 } else { 0 };
@@ -172,7 +191,7 @@ impl<'a> Run<'a> {
             quadrics: Vec::new(),
             version: vec![0; vertices.len()],
             arena,
-            rider_head: vec![NONE; if tracked { faces.len() } else { 0 }],
+            rider_head,
             riders,
             queue: Queue::new(),
             stamp: 0,
@@ -187,17 +206,16 @@ impl<'a> Run<'a> {
             area_m2,
             held: Vec::new(),
             held_at: scale,
-            log: Vec::with_capacity(most),
+            log: Vec::new(),
+            moves: Moves::new(most, block.rules.grid_m),
             folded: Vec::new(),
-            deviations: Vec::with_capacity(most),
+            levels: Vec::with_capacity(most),
+            most_m: [0.0; MOST_CLASSES],
             count: 0,
             vertices,
             faces,
             block,
         };
-        for (s, rider) in run.riders.iter_mut().enumerate().rev() {
-            rider.next = std::mem::replace(&mut run.rider_head[rider.face as usize], s as u32);
-        }
         run.sum_planes();
         run
     }
@@ -209,8 +227,16 @@ impl<'a> Run<'a> {
             self.rank_gaps();
         }
         let mut batch = Vec::with_capacity(BATCH);
+        self.queue.settle();
         'all: while self.living > self.block.rules.stop_faces {
-            let Some(filed) = self.queue.pop(BATCH, &mut batch) else { if self.widen() { continue } else { break } };
+            let version = &self.version;
+            let current = |c: &Candidate| version[c.u as usize] + version[c.v as usize] == c.stamp;
+            if self.queue.is_full() {
+                self.queue.tidy(current);
+            }
+            let Some(filed) = self.queue.pop(BATCH, &mut batch, current) else {
+                if self.widen() { continue } else { break }
+            };
             self.fetch(&mut batch);
             while let Some(candidate) = batch.pop() {
                 match self.consider(candidate, filed) {
@@ -227,16 +253,17 @@ impl<'a> Run<'a> {
                 }
             }
         }
-        let Self { mut block, vertices, faces, riders, log, folded, deviations, scale, queue, arena, version, .. } =
-            self;
+        let Self { mut block, vertices, faces, riders, rider_head, scale, queue, arena, version, .. } = self;
+        let Self { log, moves, folded, levels, most_m, .. } = self;
         drop((queue, arena, version));
-        block.samples = riders.into_iter().map(Rider::sample).collect();
+        block.samples = Rider::samples(riders, &rider_head);
+        drop(rider_head);
         block.faces = faces.iter().map(|f| f.corners).collect();
         block.omega = faces.iter().map(|f| f.omega).collect();
         drop(faces);
-        block.flags = vertices.iter().map(|v| v.flags).collect();
+        block.flags = vertices.iter().map(|v| v.mark.flags).collect();
         block.positions = vertices.iter().map(|v| v.at).collect();
-        Collapsed { block, log, folded, deviations, scale }
+        Collapsed { block, log, moves, folded, levels, most_m, scale }
     }
 
     /// Every vertex's planes.
@@ -288,20 +315,6 @@ impl<'a> Run<'a> {
         self.arena.faces(self.vertices[v as usize].star)
     }
 
-    fn add_form(&mut self, v: u32, form: Form) {
-        let sum = &mut self.vertices[v as usize].form;
-        let mut f = sum.form();
-        f += form;
-        *sum = SmallForm::of(&f);
-    }
-
-    fn take_form(&mut self, v: u32, form: Form) {
-        let sum = &mut self.vertices[v as usize].form;
-        let mut f = sum.form();
-        f -= form;
-        *sum = SmallForm::of(&f);
-    }
-
     pub(super) fn shared_faces(&self, v: u32, w: u32) -> usize {
         self.star_of(v).iter().filter(|&&f| self.faces[f as usize].corners.contains(&w)).count()
     }
@@ -347,7 +360,7 @@ impl<'a> Run<'a> {
         for &span in spans {
             for &f in self.arena.faces(span) {
                 for w in self.faces[f as usize].corners {
-                    read ^= u32::from(self.vertices[w as usize].flags);
+                    read ^= u32::from(self.vertices[w as usize].mark.flags);
                 }
                 let first = self.rider_head.get(f as usize).copied().unwrap_or(NONE);
                 read ^= self.riders.get(first as usize).map_or(0, |rider| rider.next);
@@ -441,188 +454,6 @@ impl<'a> Run<'a> {
         self.held_at = self.scale;
         for (candidate, filed) in std::mem::take(&mut self.held) {
             self.queue.push(candidate, filed);
-        }
-    }
-
-    fn perform(&mut self, u: u32, v: u32, p: DVec3, energy: f32) {
-        let star = std::mem::take(&mut self.star);
-        let ring = std::mem::take(&mut self.ring);
-        let memoryless = self.block.rules.energy == Energy::Memoryless;
-        let borders = memoryless && ring.iter().chain([&u, &v]).any(|&w| self.vertices[w as usize].flags & BORDER != 0);
-        // Where faces fold, edges outside the star may open, too.
-        let folds = !self.pairs.is_empty();
-        match (borders, folds) {
-            (true, true) => ring.iter().for_each(|&w| self.take_border(w)),
-            (true, false) => self.take_star_borders(&star, u, v),
-            _ => {}
-        }
-        for corner in &star {
-            let form = if memoryless { self.faces[corner.face as usize].form() } else { Form::default() };
-            for w in corner.ids.into_iter().filter(|&w| w != u && w != v) {
-                if memoryless {
-                    self.take_form(w, form);
-                }
-                if corner.dies {
-                    self.arena.remove(&mut self.vertices[w as usize].star, corner.face);
-                }
-            }
-        }
-        self.note_folds(&star, u, v);
-        self.record(u, v, p, energy);
-        self.vertices[u as usize].at = p;
-        self.vertices[u as usize].flags |= self.vertices[v as usize].flags;
-        let mut sum = Form::default();
-        for corner in &star {
-            let face = &mut self.faces[corner.face as usize];
-            if corner.dies {
-                face.corners = [NONE; 3];
-                self.living -= 1;
-                continue;
-            }
-            face.lie(&corner.facet);
-            face.corners = corner.ids.map(|w| if w == v { u } else { w });
-            if memoryless {
-                let form = face.form();
-                sum += form;
-                for w in corner.ids.into_iter().filter(|&w| w != u && w != v) {
-                    self.add_form(w, form);
-                }
-            }
-        }
-        self.vertices[u as usize].star = self.arena.list(star.iter().filter(|c| !c.dies).map(|c| c.face));
-        self.vertices[v as usize].star = Span::default();
-        self.move_samples(&star);
-        self.version[u as usize] += self.version[v as usize] + 1;
-        self.version[v as usize] = GONE;
-        if memoryless {
-            self.vertices[u as usize].form = SmallForm::of(&sum);
-        } else if !self.quadrics.is_empty() {
-            let other = self.quadrics[v as usize];
-            self.quadrics[u as usize] += other;
-        }
-        match (borders || memoryless && folds, folds) {
-            (true, true) => ring.iter().chain([&u]).for_each(|&w| self.add_border(w)),
-            (true, false) => self.add_star_borders(&star, u, v),
-            _ => {}
-        }
-        self.star = star;
-        for &w in &ring {
-            if self.vertices[w as usize].star.len() > 0 {
-                self.rank(u, w);
-            } else {
-                self.version[w as usize] = GONE;
-            }
-        }
-        self.ring = ring;
-    }
-
-    /// Takes the border planes of the star's edges out of the forms of the ring; forms of `u` and `v` are made anew.
-    fn take_star_borders(&mut self, star: &[Corner], u: u32, v: u32) {
-        for corner in star {
-            for k in 0..3 {
-                let (a, b) = (corner.ids[k], corner.ids[(k + 1) % 3]);
-                let ends = |w: u32| (a == w) ^ (b == w);
-                let other = if a == u || a == v { b } else { a };
-                let mark = self.vertices[other as usize].mark;
-                let is_open = match (ends(u), ends(v)) {
-                    (true, true) => false,
-                    (true, false) => mark.of_u == 1,
-                    (false, true) => mark.of_v == 1,
-                    (false, false) => self.is_border(a, b),
-                };
-                if is_open {
-                    let (n, weight) = self.border_plane(a, b, corner.face);
-                    let form = Form::of_plane(n, weight);
-                    [a, b].into_iter().filter(|&w| w != u && w != v).for_each(|w| self.take_form(w, form));
-                }
-            }
-        }
-    }
-
-    /// Adds the border planes of the new star's edges to the forms of the ring and of `u`.
-    fn add_star_borders(&mut self, star: &[Corner], u: u32, v: u32) {
-        let living = || star.iter().filter(|c| !c.dies);
-        for corner in living() {
-            for w in corner.ids {
-                self.vertices[w as usize].mark.of_u = 0;
-            }
-        }
-        for corner in living() {
-            for w in corner.ids {
-                let mark = &mut self.vertices[w as usize].mark;
-                mark.of_u = mark.of_u.saturating_add(1);
-            }
-        }
-        for corner in living() {
-            let ids = corner.ids.map(|w| if w == v { u } else { w });
-            for k in 0..3 {
-                let (a, b) = (ids[k], ids[(k + 1) % 3]);
-                let is_open = match (a == u, b == u) {
-                    (true, _) => self.vertices[b as usize].mark.of_u == 1,
-                    (_, true) => self.vertices[a as usize].mark.of_u == 1,
-                    _ => self.is_border(a, b),
-                };
-                if is_open {
-                    let (n, weight) = self.border_plane(a, b, corner.face);
-                    let form = Form::of_plane(n, weight);
-                    [a, b].into_iter().for_each(|w| self.add_form(w, form));
-                }
-            }
-        }
-    }
-
-    /// True for an edge that one face has.
-    fn is_border(&self, a: u32, b: u32) -> bool {
-        let flags = self.vertices[a as usize].flags & self.vertices[b as usize].flags;
-        flags & BORDER != 0 && self.shared_faces(a, b) == 1
-    }
-
-    /// Lists the folded faces, and marks their vertices: they may be on an open border now.
-    fn note_folds(&mut self, star: &[Corner], u: u32, v: u32) {
-        if self.pairs.is_empty() {
-            return;
-        }
-        let event = self.count;
-        for corner in star.iter().filter(|c| c.dies) {
-            let face = corner.ids;
-            if !(face.contains(&u) && face.contains(&v)) {
-                self.folded.push((event, corner.face));
-            }
-            face.iter().for_each(|&w| self.vertices[w as usize].flags |= BORDER);
-        }
-    }
-
-    /// Takes the border planes out of the form of `w`, before anything changes.
-    fn take_border(&mut self, w: u32) {
-        let mut form = self.vertices[w as usize].form.form();
-        self.borders_of(w, |n, weight| form -= Form::of_plane(n, weight));
-        self.vertices[w as usize].form = SmallForm::of(&form);
-    }
-
-    /// Adds the border planes of `w` as they are now.
-    fn add_border(&mut self, w: u32) {
-        let mut form = self.vertices[w as usize].form.form();
-        self.borders_of(w, |n, weight| form += Form::of_plane(n, weight));
-        self.vertices[w as usize].form = SmallForm::of(&form);
-    }
-
-    fn record(&mut self, u: u32, v: u32, position: DVec3, energy: f32) {
-        let id = |v: u32| self.block.vertex_ids.get(v as usize).copied().unwrap_or(v);
-        let (kept, gone) = (id(u), id(v));
-        let position = self.block.origin + position;
-        self.count += 1;
-        if self.block.rules.recorded || matches!(self.block.rules.limit, Limit::Scale(_)) {
-            self.log.push(Collapse { kept, gone, position, energy });
-        }
-        if self.block.rules.recorded {
-            let mut squared = [0f64; MOST_CLASSES];
-            for step in &self.moved {
-                let classes = self.riders[step.rider as usize].classes;
-                for (_, most) in squared.iter_mut().enumerate().filter(|(c, _)| classes >> c & 1 != 0) {
-                    *most = most.max(step.squared_m2);
-                }
-            }
-            self.deviations.push(squared.map(|s| s.sqrt() as f32));
         }
     }
 }

@@ -18,15 +18,22 @@
 //! squares; a limit of four times the root mean square (mean +3 to +30 %).
 //!
 //! # Cost
-//! To 10 % of 295 000 faces, processor time of the call over meshoptimizer's (0.17 to 0.25 s) in the same run:
-//! untracked 2.0 to 2.2, tracked with the sequence 3.4 to 4.1, refitted 5.5 to 7; CGAL's Lindstrom–Turk 20 to 27.
-//! Peak, bytes a face: 185, 254, 221; the same with an input that has to stay adds the input.
-//! Where the time goes: waiting for memory, as edges leave the queue in no order that a cache could know.
+//! To 10 % of 295 000 faces, processor time of the call over meshoptimizer's (0.27 s on a busy machine) in the same run:
+//! untracked 1.6, tracked with the sequence 2.8, refitted 4.8; CGAL's Lindstrom–Turk 20 to 27. From 0.25 to 3.03 million
+//! faces a face takes 1.23 times as long untracked (1.40 before), 1.10 tracked.
+//! Peak of the whole process, bytes a face, of 3.0 and 0.3 million faces: 112 and 193, 169 and 240, 150 and 221. Of these
+//! the process itself takes 12 MB (43 of 0.3 million), and holes in the heap some 40 of the small mesh, for glibc hands
+//! nothing back below 32 MB. An input that has to stay (a texture is baked from it) is added.
+//! Where the time goes: waiting for memory.
 //! What paid (untracked, meshoptimizer's = 1): forms about their own vertex, six numbers instead of ten, and edges and
 //! vertices ordered by counting (3.8 → 3.2); f32 for the forms that wait, so that a vertex is one line (→ 2.9, error the
 //! same to four digits); both stars copied before anything is decided, and border planes kept up by the star's edges
-//! instead of whole rings (→ 2.45); 10 candidates read ahead at once (→ 2.3); nothing large moved about (→ 2.1).
-//! Tracked: samples listed face by face in turn (−12 %). What did not: batches of 6 or 16 instead of 10.
+//! instead of whole rings (→ 2.45); 10 candidates read ahead at once (→ 2.3); nothing large moved about (→ 2.1); a vertex
+//! in truth one line, not two (it had 65 bytes), large buckets handled in order of place, 24 read ahead (→ 1.6).
+//! Tracked: samples listed face by face in turn (−12 %).
+//! What paid in memory (bytes a face, untracked 174 → 112, with the sequence 251 → 169, refitted 217 → 150): vertices of one
+//! line (35), the queue's pool of chunks (17) without what is out of date (4), stars that move together (10), deviations as
+//! levels (11), moves instead of places (7), samples of 40 bytes (4), points of the refit without their places (30).
 //!
 //! # Promises
 //! At scale t no source vertex is further than t·b of its class from the cut (`the_scale_bounds_every_vertex`); no new
@@ -171,7 +178,9 @@ impl<'a> Job<'a> {
         }
         if refit {
             let mut points = self.points(samples, &cut.face_ids, cut.scale);
-            refit::refit(&mut cut.positions, &mut cut.faces, &mut points);
+            self.omega = Vec::new();
+            let source = refit::Source { positions: &self.mesh.positions, faces: &self.mesh.faces };
+            refit::refit(&mut cut.positions, &mut cut.faces, &mut points, source);
         }
         if self.config.record {
             cut.sequence = Some(self.sequence(done));
@@ -219,7 +228,7 @@ impl<'a> Job<'a> {
             .into_iter()
             .map(|b| if b { BORDER } else { 0 })
             .collect();
-        let samples = if self.tracked { self.samples() } else { Vec::new() };
+        let (samples, sample_classes) = if self.tracked { self.samples() } else { Default::default() };
         let faces = if wanted { self.mesh.faces.clone() } else { std::mem::take(&mut self.mesh.faces) };
         let positions = if wanted && !self.tracked {
             self.mesh.positions.clone()
@@ -237,21 +246,17 @@ impl<'a> Job<'a> {
             group: Vec::new(),
             boxes: &[],
             samples,
+            sample_classes: if self.config.record { sample_classes } else { Vec::new() },
             rules,
         }
     }
 
     /// A sample for each vertex: with the strictest budget and all classes around it, and the weight of the largest face there.
-    fn samples(&self) -> Vec<Sample> {
-        let sample = |&point: &DVec3| Sample {
-            point,
-            weight: 0.0,
-            budget_m: f32::INFINITY,
-            squared_m2: 0.0,
-            face: NONE,
-            classes: 0,
-        };
+    fn samples(&self) -> (Vec<Sample>, Vec<u8>) {
+        let sample =
+            |&point: &DVec3| Sample { point, weight: 0.0, budget_m: f32::INFINITY, squared_m2: 0.0, face: NONE };
         let mut samples: Vec<Sample> = self.mesh.positions.iter().map(sample).collect();
+        let mut classes = vec![0u8; samples.len()];
         let mut largest = vec![-1f32; samples.len()];
         for (f, face) in self.mesh.faces.iter().enumerate() {
             let area = self.mesh.cross(f).length() as f32;
@@ -260,7 +265,7 @@ impl<'a> Job<'a> {
             for &v in face {
                 let sample = &mut samples[v as usize];
                 sample.budget_m = sample.budget_m.min(budget_m);
-                sample.classes |= bit;
+                classes[v as usize] |= bit;
                 sample.weight += area / 6.0;
                 if area > largest[v as usize] {
                     largest[v as usize] = area;
@@ -269,7 +274,7 @@ impl<'a> Job<'a> {
             }
         }
         samples.iter_mut().for_each(|sample| sample.weight *= self.omega[sample.face as usize]);
-        samples
+        (samples, classes)
     }
 
     /// The surface that is left, about the origin, with the faces it has of the ordered mesh.
@@ -299,26 +304,26 @@ impl<'a> Job<'a> {
         let mut points = Vec::with_capacity(samples.len() + self.mesh.faces.len());
         points.extend(samples.into_iter().map(|sample| {
             let limit = (scale * f64::from(sample.budget_m)) as f32;
-            Point::new(sample.point, 0.5 * sample.weight, limit, place[sample.face as usize])
+            Point::new(0.5 * sample.weight, limit, place[sample.face as usize])
         }));
         for (f, corners) in self.mesh.faces.iter().enumerate() {
             let area = 0.5 * self.mesh.cross(f).length() as f32;
-            let center = self.mesh.corners(f).iter().sum::<DVec3>() / 3.0;
             let near = points[corners[0] as usize].face;
-            points.push(Point::new(center, 0.5 * area * self.omega[f], f32::INFINITY, near));
+            points.push(Point::new(0.5 * area * self.omega[f], f32::INFINITY, near));
         }
         points
     }
 
     fn sequence(&mut self, done: Collapsed) -> Sequence {
         let Mesh { mut positions, faces, .. } = std::mem::take(&mut self.mesh);
+        let events = done.moves.events(positions.clone(), self.origin);
         positions.iter_mut().for_each(|p| *p += self.origin);
         Sequence {
             positions,
             faces,
             labels: std::mem::take(&mut self.labels),
             grid_m: self.config.grid_m,
-            log: CollapseLog { events: done.log, deviations_m: done.deviations, folded: done.folded },
+            log: CollapseLog { events, levels: done.levels, most_m: done.most_m, folded: done.folded },
         }
     }
 }

@@ -6,27 +6,51 @@ use super::run::{Corner, Run};
 use crate::geo::bvh::closest_on_triangle;
 use glam::DVec3;
 
-/// A sample, and the one after it on the same face.
+/// A sample, and the one after it on the same face. As large as a [`Sample`], so that one becomes the other in place.
 #[derive(Clone, Copy)]
 pub(super) struct Rider {
     pub point: DVec3,
     pub weight: f32,
     pub budget_m: f32,
     pub squared_m2: f32,
-    pub face: u32,
     pub next: u32,
-    pub classes: u8,
 }
 
 impl Rider {
-    pub fn of(sample: Sample) -> Self {
-        let Sample { point, weight, budget_m, squared_m2, face, classes } = sample;
-        Self { point, weight, budget_m, squared_m2, face, next: NONE, classes }
+    /// The samples as riders, and by face the first of them; of a face, the first in order comes first.
+    pub fn all(mut samples: Vec<Sample>, faces: usize) -> (Vec<Self>, Vec<u32>) {
+        let mut head = vec![NONE; faces];
+        for (s, sample) in samples.iter_mut().enumerate().rev() {
+            // From here on a face is the next sample.
+            sample.face = std::mem::replace(&mut head[sample.face as usize], s as u32);
+        }
+        let rider = |Sample { point, weight, budget_m, squared_m2, face }| Self {
+            point,
+            weight,
+            budget_m,
+            squared_m2,
+            next: face,
+        };
+        (samples.into_iter().map(rider).collect(), head)
     }
 
-    pub fn sample(self) -> Sample {
-        let Self { point, weight, budget_m, squared_m2, face, classes, .. } = self;
-        Sample { point, weight, budget_m, squared_m2, face, classes }
+    /// The riders as samples again.
+    pub fn samples(riders: Vec<Self>, head: &[u32]) -> Vec<Sample> {
+        let sample = |Self { point, weight, budget_m, squared_m2, next }| Sample {
+            point,
+            weight,
+            budget_m,
+            squared_m2,
+            face: next,
+        };
+        let mut samples: Vec<Sample> = riders.into_iter().map(sample).collect();
+        for (&first, f) in head.iter().zip(0..) {
+            let mut at = first;
+            while at != NONE {
+                at = std::mem::replace(&mut samples[at as usize].face, f);
+            }
+        }
+        samples
     }
 }
 
@@ -94,7 +118,7 @@ impl Run<'_> {
         for step in self.moved.iter().rev() {
             let head = &mut self.rider_head[step.to as usize];
             let rider = &mut self.riders[step.rider as usize];
-            (rider.next, rider.face, rider.squared_m2) = (*head, step.to, step.squared_m2 as f32);
+            (rider.next, rider.squared_m2) = (*head, step.squared_m2 as f32);
             *head = step.rider;
         }
     }

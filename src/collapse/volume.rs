@@ -106,7 +106,7 @@ pub(super) fn place(run: &Run, u: u32, v: u32) -> Option<(DVec3, f64)> {
 /// Open edges at u and v, each once, in the direction of its face, relative to `middle`.
 fn border_edges(run: &Run, u: u32, v: u32, faces: &[u32], middle: DVec3) -> Vec<(DVec3, DVec3)> {
     let mut edges = Vec::new();
-    if (run.vertices[u as usize].flags | run.vertices[v as usize].flags) & BORDER == 0 {
+    if (run.vertices[u as usize].mark.flags | run.vertices[v as usize].mark.flags) & BORDER == 0 {
         return edges;
     }
     for &f in faces {

@@ -385,7 +385,6 @@ impl<'a> Window<'a> {
                 budget_m: if s.reach_m > 0.0 { left_m.next_down().max(0.0) } else { s.budget_m },
                 squared_m2: s.squared_m2,
                 face,
-                classes: s.classes as u8,
             }
         };
         let reach_m = settings.scale * settings.strictest_m;
@@ -399,6 +398,7 @@ impl<'a> Window<'a> {
             group,
             boxes: &boxes,
             samples: sample_ids.iter().zip(rides).map(tracked).collect(),
+            sample_classes: Vec::new(),
             rules: Rules {
                 energy: Energy::Memoryless,
                 half_edge: false,

@@ -16,7 +16,7 @@ use super::coder::{Coder, Number, Prob, Tree};
 use super::live::{Grid, Live};
 use super::split::{MOST_COORDINATE, Models};
 
-/// A face to be coded next. Vertices are the record's numbers; `live.points.len()` and up are new.
+/// A face to be coded next. Vertices are the record's numbers; `live.vertices()` and up are new.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Next {
     /// Open edges passed over, or none to begin afresh.
@@ -37,9 +37,9 @@ pub type Edge = [u32; 3];
 /// What is coded so far, seen from its edge, and what was learned from it.
 pub struct Growth {
     open: Vec<Edge>,
-    passed: Tree<4>,
+    passed: Tree<16>,
     kind: [Prob; 3],
-    near: Tree<5>,
+    near: Tree<32>,
     turned: Prob,
     sizes: Vec<Number>,
     last: Grid,
@@ -89,10 +89,9 @@ impl Growth {
         let fresh = edge.is_none();
         let corners = match edge {
             Some([from, to, across]) => {
-                let guess = [0, 1, 2].map(|k| {
-                    live.points[from as usize][k] + live.points[to as usize][k] - live.points[across as usize][k]
-                });
-                let size = distance(live.points[from as usize], live.points[to as usize]);
+                let [a, b, c] = [from, to, across].map(|v| live.at(v));
+                let guess = [0, 1, 2].map(|k| a[k] + b[k] - c[k]);
+                let size = distance(a, b);
                 let third = self.code_third(coder, live, vertices, next, guess, size)?;
                 let turned = coder.bit(&mut self.turned, next.turned);
                 if turned { [from, to, third] } else { [to, from, third] }
@@ -152,7 +151,7 @@ impl Growth {
         size: u64,
     ) -> Result<u32, &'static str> {
         let wanted = next.corners[2];
-        if coder.bit(&mut self.kind[0], wanted as usize >= live.points.len()) {
+        if coder.bit(&mut self.kind[0], wanted as usize >= live.vertices()) {
             return self.code_new(coder, live, vertices, guess, size, next.points[2]);
         }
         let near = |i: u32| self.open.iter().rev().nth(i as usize / 2).map(|e| e[1 - (i as usize & 1)]);
@@ -162,7 +161,7 @@ impl Growth {
             let near = |i: u32| self.open.iter().rev().nth(i as usize / 2).map(|e| e[1 - (i as usize & 1)]);
             return near(symbol).ok_or("an edge that is not there");
         }
-        Ok(coder.uniform(live.points.len() as u32, wanted))
+        Ok(coder.uniform(live.vertices() as u32, wanted))
     }
 
     fn code_any(
@@ -173,13 +172,13 @@ impl Growth {
         wanted: u32,
         point: Grid,
     ) -> Result<u32, &'static str> {
-        if coder.bit(&mut self.kind[1], wanted as usize >= live.points.len()) {
+        if coder.bit(&mut self.kind[1], wanted as usize >= live.vertices()) {
             return self.code_new(coder, live, vertices, self.last, u64::MAX, point);
         }
-        if live.points.is_empty() {
+        if live.vertices() == 0 {
             return Err("a vertex that is not there");
         }
-        Ok(coder.uniform(live.points.len() as u32, wanted))
+        Ok(coder.uniform(live.vertices() as u32, wanted))
     }
 
     /// Codes a vertex that is new. `size` is a length around it, grid steps.
@@ -192,7 +191,7 @@ impl Growth {
         size: u64,
         point: Grid,
     ) -> Result<u32, &'static str> {
-        if live.points.len() >= vertices {
+        if live.vertices() >= vertices {
             return Err("more vertices than it says it has");
         }
         let context = (64 - size.leading_zeros() as usize).min(63);

@@ -32,13 +32,9 @@ impl Prob {
     }
 
     fn learn(&mut self, bit: bool) {
-        for (p, shift) in [(&mut self.fast, FAST_SHIFT), (&mut self.slow, SLOW_SHIFT)] {
-            if bit {
-                *p -= *p >> shift;
-            } else {
-                *p += (u16::MAX - *p) >> shift;
-            }
-        }
+        // Both are made: no branch would be foreseen.
+        let next = |p: u16, shift: u16| if bit { p - (p >> shift) } else { p + ((u16::MAX - p) >> shift) };
+        (self.fast, self.slow) = (next(self.fast, FAST_SHIFT), next(self.slow, SLOW_SHIFT));
     }
 }
 
@@ -205,40 +201,56 @@ impl Coder for Decoder<'_> {
     }
 }
 
-/// A number of `BITS` bits, every bit under the bits above it.
-#[derive(Debug, Clone)]
-pub struct Tree<const BITS: u32> {
-    probs: Vec<Prob>,
+/// A number below `LEAVES`, a power of two: every bit under the bits above it.
+#[derive(Debug, Clone, Copy)]
+pub struct Tree<const LEAVES: usize> {
+    probs: [Prob; LEAVES],
 }
 
-impl<const BITS: u32> Default for Tree<BITS> {
+impl<const LEAVES: usize> Default for Tree<LEAVES> {
     fn default() -> Self {
-        Self { probs: vec![Prob::default(); 1 << BITS] }
+        Self { probs: [Prob::default(); LEAVES] }
     }
 }
 
-impl<const BITS: u32> Tree<BITS> {
-    /// Codes `value`, which is below 2^BITS.
+impl<const LEAVES: usize> Tree<LEAVES> {
+    /// Codes `value`, which is below `LEAVES`.
     pub fn code(&mut self, coder: &mut impl Coder, value: u32) -> u32 {
         let mut node = 1usize;
-        for k in (0..BITS).rev() {
-            let bit = coder.bit(&mut self.probs[node], (value >> k) & 1 == 1);
+        for k in (0..LEAVES.trailing_zeros()).rev() {
+            let bit = coder.bit(&mut self.probs[node & (LEAVES - 1)], (value >> k) & 1 == 1);
             node = (node << 1) | usize::from(bit);
         }
-        node as u32 - (1 << BITS)
+        (node - LEAVES) as u32
     }
 }
 
 /// A whole number of either sign: its length in bits, its sign, its leading bits under models, the rest as they are.
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub struct Number {
-    length: Tree<6>,
+    is_long: Prob,
+    short: Tree<16>,
+    long: Tree<64>,
     sign: [Prob; 4],
-    lead: Vec<Tree<3>>,
+    lead: [Tree<{ 1 << LEAD_BITS }>; MOST_BITS as usize + 1],
+}
+
+impl Default for Number {
+    fn default() -> Self {
+        Self {
+            is_long: Prob::default(),
+            short: Tree::default(),
+            long: Tree::default(),
+            sign: Default::default(),
+            lead: [Tree::default(); MOST_BITS as usize + 1],
+        }
+    }
 }
 
 /// Longest number in bits: room for differences of positions within 2^52 steps.
 const MOST_BITS: u32 = 54;
+/// Shorter numbers than this have a tree of their own for their length.
+const LONG_BITS: u32 = 16;
 /// Bits below the leading one that have models.
 const LEAD_BITS: u32 = 2;
 
@@ -246,21 +258,26 @@ impl Number {
     /// Codes `value`, of at most 54 bits. `sign_hint` (0 to 3) chooses the model of the sign.
     pub fn code(&mut self, coder: &mut impl Coder, value: i64, sign_hint: usize) -> i64 {
         let size = value.unsigned_abs();
-        let length = self.length.code(coder, 64 - size.leading_zeros()).min(MOST_BITS);
+        let length = 64 - size.leading_zeros();
+        let length = if coder.bit(&mut self.is_long, length >= LONG_BITS) {
+            self.long.code(coder, length).min(MOST_BITS)
+        } else {
+            self.short.code(coder, length)
+        };
         if length == 0 {
             return 0;
         }
         let negative = coder.bit(&mut self.sign[sign_hint & 3], value < 0);
         let rest = length - 1;
         let led = rest.min(LEAD_BITS);
-        if self.lead.len() <= length as usize {
-            self.lead.resize_with(length as usize + 1, Tree::default);
+        let lead = &mut self.lead[length as usize].probs;
+        let mut top = 1usize;
+        for k in 0..led {
+            let bit = coder.bit(&mut lead[top & ((1 << LEAD_BITS) - 1)], (size >> (rest - 1 - k)) & 1 == 1);
+            top = (top << 1) | usize::from(bit);
         }
-        // The tree has room for three bits; shorter numbers use its low leaves.
-        let top = self.lead[length as usize].code(coder, (size >> (rest - led)) as u32 & ((1 << led) - 1));
-        let top = u64::from(top) & ((1 << led) - 1);
         let low = coder.raw(rest - led, size);
-        let size = ((1 << rest) | (top << (rest - led)) | low) as i64;
+        let size = (((top as u64) << (rest - led)) | low) as i64;
         if negative { -size } else { size }
     }
 }

@@ -13,7 +13,7 @@ use super::file::{ChunkInfo, Header, Layout};
 use super::level::size_of;
 use super::live::{Grid, Live, Star};
 use super::progressive::Progressive;
-use super::split::{Models, Split};
+use super::split::{GROUP, Models, Split};
 use crate::error::Place;
 use crate::{Error, Result};
 
@@ -83,6 +83,7 @@ impl Record {
             models: Models::new(header.about.tracked_classes(), header.grid_m),
             classes: classes as u8,
             live: Live::default(),
+            group: Vec::new(),
             star: Star::default(),
             energy: 0,
             work: 0,
@@ -97,10 +98,10 @@ impl Record {
         let base = header.chunks[0];
         let payload = self.layout.payload(&self.path, &self.bytes, 0)?;
         reader.base(payload, base.faces as usize, base.vertices as usize).map_err(fault(0))?;
-        let metres = |p: &Grid| DVec3::new(p[0] as f64, p[1] as f64, p[2] as f64) * header.grid_m;
+        let metres = |p: Grid| DVec3::new(p[0] as f64, p[1] as f64, p[2] as f64) * header.grid_m;
         let mut out = Progressive {
             about: header.about.clone(),
-            base_points: reader.live.points.iter().map(metres).collect(),
+            base_points: reader.live.points().map(metres).collect(),
             base_faces: base.faces,
             finest: header.chunks[chunks.min(header.chunks.len() - 1)].bounds,
             ..Progressive::default()
@@ -110,8 +111,7 @@ impl Record {
             let faces = chunk.faces as usize;
             reader.chunk(payload, chunk.events, faces, &mut out).map_err(fault(i))?;
         }
-        out.faces = reader.live.faces;
-        out.classes = reader.live.classes;
+        (out.faces, out.classes) = reader.live.into_faces();
         Ok(out)
     }
 }
@@ -120,6 +120,8 @@ struct Reader {
     models: Models,
     classes: u8,
     live: Live,
+    /// Vertices that split next.
+    group: Vec<u32>,
     star: Star,
     energy: i16,
     work: usize,
@@ -132,14 +134,14 @@ impl Reader {
     fn base(&mut self, payload: &[u8], faces: usize, vertices: usize) -> Result<(), &'static str> {
         let mut coder = Decoder::new(payload);
         let mut growth = Growth::new();
-        while self.live.faces.len() < faces {
+        while self.live.faces() < faces {
             growth.code(&mut coder, &mut self.models, &mut self.live, vertices, &Next::default())?;
-            self.check(&coder, self.live.faces.len() - 1)?;
+            self.check(&coder, self.live.faces() - 1)?;
         }
-        while self.live.points.len() < vertices {
+        while self.live.vertices() < vertices {
             let guess = growth.last();
             growth.code_new(&mut coder, &mut self.live, vertices, guess, 0, [0; 3])?;
-            self.check(&coder, self.live.faces.len())?;
+            self.check(&coder, self.live.faces())?;
         }
         Ok(())
     }
@@ -148,7 +150,7 @@ impl Reader {
         if coder.overrun() {
             return Err(TOO_SHORT);
         }
-        if self.live.classes[first_face..].iter().any(|c| *c >= self.classes) {
+        if self.live.classes_from(first_face).any(|c| c >= self.classes) {
             return Err("a class that it does not name");
         }
         Ok(())
@@ -157,25 +159,32 @@ impl Reader {
     fn chunk(&mut self, payload: &[u8], events: u32, faces: usize, out: &mut Progressive) -> Result<(), &'static str> {
         let mut coder = Decoder::new(payload);
         let mut split = Split::default();
-        if self.live.points.is_empty() && events > 0 {
+        if self.live.vertices() == 0 && events > 0 {
             return Err("a vertex that is not there");
         }
         let metres = |p: Grid| DVec3::new(p[0] as f64, p[1] as f64, p[2] as f64) * self.grid_m;
-        for _ in 0..events {
-            split.kept = self.models.code_kept(&mut coder, &self.live, 0);
+        for i in 0..events as usize {
+            if i % GROUP == 0 {
+                let first = self.live.vertices();
+                let count = GROUP.min(events as usize - i);
+                self.group.clear();
+                self.group.extend((first..first + count).map(|n| self.models.code_kept(&mut coder, n, 0)));
+                self.live.fetch(&self.group);
+            }
+            split.kept = self.group[i % GROUP];
             self.live.star(split.kept, &mut self.star);
             self.work += self.star.spokes.len();
             if self.work / MOST_WORK > 4 * MOST_WORK + out.kept.len() {
                 return Err("vertices of too many faces");
             }
             self.energy = self.models.code_energy(&mut coder, self.energy, 0);
-            let before = self.live.faces.len();
+            let before = self.live.faces();
             split.leaves.clear();
             split.wings.clear();
             split.folds.clear();
             split.deviation = [0; MAX_CLASSES];
             self.models.code(&mut coder, &self.live, &mut self.star, &mut split, faces - before)?;
-            let coarse_at = self.live.points[split.kept as usize];
+            let coarse_at = self.live.at(split.kept);
             self.live.split(&self.star, &split);
             self.check(&coder, before)?;
             out.kept.push(split.kept);
@@ -184,12 +193,12 @@ impl Reader {
             out.gone_at.push(metres(split.gone_at));
             out.deviation.push(split.deviation);
             out.energy.push(self.energy);
-            out.faces_after.push(self.live.faces.len() as u32);
+            out.faces_after.push(self.live.faces() as u32);
             out.rims.extend(self.star.rims.iter().map(|r| r.vertex));
             let others = split.wings.iter().map(|w| w.apex).chain(split.folds.iter().flat_map(|f| [f.a, f.b]));
             out.rims.extend(others.filter(|v| self.star.rims.iter().all(|r| r.vertex != *v)));
             out.rims_end.push(out.rims.len());
         }
-        if self.live.faces.len() != faces { Err("fewer faces than it says it has") } else { Ok(()) }
+        if self.live.faces() != faces { Err("fewer faces than it says it has") } else { Ok(()) }
     }
 }

@@ -52,7 +52,7 @@ fn cut(mesh: &Mesh, classes: &Classes, method: Method, faces: usize, record: boo
 fn bytes_of(mesh: &Mesh, classes: &Classes, method: Method, faces: usize) -> Vec<u8> {
     let sequence = cut(mesh, classes, method, faces, true).sequence.unwrap();
     let about = About { scheme: classes.scheme.clone(), method: "test".into(), tracked: true, ..About::default() };
-    encode(&sequence, &about).unwrap()
+    encode(sequence, &about).unwrap()
 }
 
 fn open(bytes: Vec<u8>) -> crate::Result<Progressive> {

@@ -26,7 +26,7 @@ use crate::ids::{ClassScheme, ClassSpec};
 use crate::{Error, Result};
 
 const MAGIC: &[u8; 16] = b"rooftile record\0";
-const VERSION: u16 = 2;
+const VERSION: u16 = 3;
 /// The flag of [`About::tracked`].
 const TRACKED: u16 = 1;
 const HASH_BYTES: usize = 16;
@@ -144,14 +144,16 @@ pub struct Layout {
 
 impl Layout {
     /// Puts the parts together.
-    pub fn write(header: &Header, payloads: &[Vec<u8>]) -> Vec<u8> {
+    pub fn write(header: &Header, payloads: Vec<Vec<u8>>) -> Vec<u8> {
         let mut header = header.clone();
-        for (chunk, payload) in header.chunks.iter_mut().zip(payloads) {
+        for (chunk, payload) in header.chunks.iter_mut().zip(&payloads) {
             chunk.bytes = payload.len() as u32;
             chunk.hash = hash_of(payload);
         }
         let mut out = header.to_bytes();
-        payloads.iter().for_each(|p| out.extend(p));
+        out.reserve_exact(payloads.iter().map(Vec::len).sum());
+        // One after the other is let go.
+        payloads.into_iter().for_each(|p| out.extend(p));
         out
     }
 

@@ -3,6 +3,8 @@
 //! Numbers are the record's own: vertices and faces in the order in which they appear. Any triangles will do: nothing
 //! is assumed of how many faces an edge has or which way they turn.
 
+use glam::DVec3;
+
 use super::super::NONE;
 use super::split::Split;
 
@@ -12,14 +14,25 @@ pub type Grid = [i64; 3];
 /// A mesh that grows by splits.
 #[derive(Debug, Clone, Default)]
 pub struct Live {
-    /// Per vertex.
-    pub points: Vec<Grid>,
-    /// Per face.
-    pub faces: Vec<[u32; 3]>,
-    /// Per face: class.
-    pub classes: Vec<u8>,
-    head: Vec<u32>,
-    next: Vec<u32>,
+    vertices: Vec<Vertex>,
+    faces: Vec<Face>,
+    /// Lists of corners, 3 · face + corner, with the room that [`room`] gives them.
+    corners: Vec<u32>,
+}
+
+/// A vertex in half a line of memory.
+#[derive(Debug, Clone, Copy)]
+struct Vertex {
+    at: Grid,
+    /// Where its list is.
+    start: u32,
+    len: u32,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Face {
+    corners: [u32; 3],
+    class: u8,
 }
 
 /// A face that both ends of the new edge use.
@@ -59,6 +72,10 @@ pub struct Spoke {
     pub a: u32,
     /// See `a`.
     pub b: u32,
+    /// Places of `a` and `b` among the rims.
+    pub rims: [u32; 2],
+    /// The class of the face.
+    pub class: u8,
     /// Begins a fan: shares no edge with the face before it.
     pub begins: bool,
     /// Its fan is closed.
@@ -72,6 +89,8 @@ pub struct Spoke {
 pub struct Rim {
     /// The vertex.
     pub vertex: u32,
+    /// Where it is, grid steps.
+    pub at: DVec3,
     /// The first spoke that uses it.
     pub spoke: u32,
     /// The last spoke that uses it, known after the sides are.
@@ -96,23 +115,95 @@ pub struct Star {
 /// Stars of more faces than this are taken as they lie, because ordering them is quadratic.
 const MOST_ORDERED: usize = 64;
 
+/// Room for a list of `len` corners. Lists outgrow it now and then, and leave a hole.
+fn room(len: u32) -> u32 {
+    if len <= 16 { len.next_multiple_of(4) } else { len.next_power_of_two() }
+}
+
 impl Live {
+    /// Empty, with room for a mesh that is known beforehand.
+    pub fn with_room(vertices: usize, faces: usize) -> Self {
+        Self {
+            vertices: Vec::with_capacity(vertices),
+            faces: Vec::with_capacity(faces),
+            corners: Vec::with_capacity(6 * faces),
+        }
+    }
+
+    /// Number of vertices.
+    pub fn vertices(&self) -> usize {
+        self.vertices.len()
+    }
+
+    /// Number of faces.
+    pub fn faces(&self) -> usize {
+        self.faces.len()
+    }
+
+    /// Where `v` is.
+    pub fn at(&self, v: u32) -> Grid {
+        self.vertices[v as usize].at
+    }
+
+    /// Where all vertices are.
+    pub fn points(&self) -> impl Iterator<Item = Grid> + '_ {
+        self.vertices.iter().map(|v| v.at)
+    }
+
+    /// Corners and classes of all faces.
+    pub fn into_faces(self) -> (Vec<[u32; 3]>, Vec<u8>) {
+        let classes = self.faces.iter().map(|f| f.class).collect();
+        (self.faces.into_iter().map(|f| f.corners).collect(), classes)
+    }
+
+    /// Classes of the faces from `first` on.
+    pub fn classes_from(&self, first: usize) -> impl Iterator<Item = u8> + '_ {
+        self.faces[first..].iter().map(|f| f.class)
+    }
+
     /// Adds a vertex without faces.
-    pub fn add_vertex(&mut self, point: Grid) -> u32 {
-        self.points.push(point);
-        self.head.push(NONE);
-        self.points.len() as u32 - 1
+    pub fn add_vertex(&mut self, at: Grid) -> u32 {
+        self.vertices.push(Vertex { at, start: 0, len: 0 });
+        self.vertices.len() as u32 - 1
     }
 
     /// Adds a face of three vertices that exist.
-    pub fn add_face(&mut self, face: [u32; 3], class: u8) {
+    pub fn add_face(&mut self, corners: [u32; 3], class: u8) {
         let f = self.faces.len() as u32;
-        self.faces.push(face);
-        self.classes.push(class);
-        for (k, v) in face.into_iter().enumerate() {
-            self.next.push(self.head[v as usize]);
-            self.head[v as usize] = 3 * f + k as u32;
+        self.faces.push(Face { corners, class });
+        for (v, k) in corners.into_iter().zip(0..) {
+            self.add_corner(v, 3 * f + k);
         }
+    }
+
+    fn add_corner(&mut self, v: u32, corner: u32) {
+        let Vertex { start, len, .. } = self.vertices[v as usize];
+        if len == room(len) {
+            self.vertices[v as usize].start = self.corners.len() as u32;
+            self.corners.extend_from_within(start as usize..(start + len) as usize);
+            let end = self.vertices[v as usize].start + room(len + 1);
+            self.corners.resize(end as usize, NONE);
+        }
+        let vertex = &mut self.vertices[v as usize];
+        vertex.len += 1;
+        self.corners[(vertex.start + len) as usize] = corner;
+    }
+
+    fn list(&self, v: u32) -> &[u32] {
+        let Vertex { start, len, .. } = self.vertices[v as usize];
+        &self.corners[start as usize..(start + len) as usize]
+    }
+
+    /// Reads what the stars of `vertices` are made of, all at once, so that the waits for memory overlap.
+    pub fn fetch(&self, vertices: &[u32]) {
+        let present = || vertices.iter().filter(|v| (**v as usize) < self.vertices.len());
+        let mut read = present().fold(0, |read, v| read ^ self.vertices[*v as usize].len);
+        read = present().fold(read, |read, v| read ^ self.list(*v).first().copied().unwrap_or(0));
+        let near = || present().flat_map(|v| self.list(*v).iter().take(MOST_ORDERED));
+        read = near().fold(read, |read, c| read ^ self.faces[*c as usize / 3].corners[0]);
+        let corners = near().flat_map(|c| self.faces[*c as usize / 3].corners);
+        read = corners.fold(read, |read, v| read ^ self.vertices[v as usize].len);
+        std::hint::black_box(read);
     }
 
     /// Fills `star` with the faces and neighbours of `v`.
@@ -120,13 +211,11 @@ impl Live {
         star.spokes.clear();
         star.rims.clear();
         star.found.clear();
-        let mut corner = self.head[v as usize];
-        while corner != NONE {
-            let face = self.faces[corner as usize / 3];
+        for &corner in self.list(v) {
+            let Face { corners, class } = self.faces[corner as usize / 3];
             let k = corner as usize % 3;
-            let (a, b) = (face[(k + 1) % 3], face[(k + 2) % 3]);
-            star.found.push(Spoke { corner, a, b, begins: true, closed: false, left: 0 });
-            corner = self.next[corner as usize];
+            let (a, b) = (corners[(k + 1) % 3], corners[(k + 2) % 3]);
+            star.found.push(Spoke { corner, a, b, rims: [0; 2], class, begins: true, closed: false, left: 0 });
         }
         if star.found.len() > MOST_ORDERED {
             star.found.sort_unstable_by_key(|s| s.corner);
@@ -135,6 +224,9 @@ impl Live {
             star.walk();
         }
         star.list_rims();
+        for rim in &mut star.rims {
+            rim.at = vec(self.at(rim.vertex));
+        }
     }
 
     /// Performs a split of the vertex of `star`: the faces that leave go to a new vertex, wings and folds appear, the old
@@ -143,13 +235,21 @@ impl Live {
         let Split { kept, leaves, wings, folds, kept_at, gone_at, .. } = split;
         let kept = *kept;
         let new = self.add_vertex(*gone_at);
-        self.points[kept as usize] = *kept_at;
-        self.head[kept as usize] = NONE;
-        for (spoke, leaves) in star.spokes.iter().zip(leaves).rev() {
+        let leave = leaves.iter().filter(|l| **l).count() as u32;
+        let stay = leaves.len() as u32 - leave;
+        // The longer list takes the old place: so a corner moves to a new one only as often as its list halves.
+        let old = self.vertices[kept as usize].start;
+        let end = self.corners.len() as u32;
+        let starts = if stay >= leave { [old, end] } else { [end, old] };
+        self.corners.resize((end + room(stay.min(leave))) as usize, NONE);
+        self.vertices[kept as usize] = Vertex { at: *kept_at, start: starts[0], len: 0 };
+        self.vertices[new as usize].start = starts[1];
+        for (spoke, leaves) in star.spokes.iter().zip(leaves) {
             let owner = if *leaves { new } else { kept };
-            self.faces[spoke.corner as usize / 3][spoke.corner as usize % 3] = owner;
-            self.next[spoke.corner as usize] = self.head[owner as usize];
-            self.head[owner as usize] = spoke.corner;
+            self.faces[spoke.corner as usize / 3].corners[spoke.corner as usize % 3] = owner;
+            let vertex = &mut self.vertices[owner as usize];
+            self.corners[(vertex.start + vertex.len) as usize] = spoke.corner;
+            vertex.len += 1;
         }
         for wing in wings {
             let (a, b) = if wing.turned { (new, kept) } else { (kept, new) };
@@ -158,7 +258,29 @@ impl Live {
         for fold in folds {
             self.add_face([if fold.of_new { new } else { kept }, fold.a, fold.b], fold.class);
         }
+        if self.corners.len() > MOST_HOLES * 3 * self.faces.len() + (1 << 16) {
+            self.tidy();
+        }
     }
+
+    /// Moves all lists together. Real meshes never get there.
+    fn tidy(&mut self) {
+        let mut corners = Vec::with_capacity(self.vertices.iter().map(|v| room(v.len) as usize).sum());
+        for vertex in &mut self.vertices {
+            let start = std::mem::replace(&mut vertex.start, corners.len() as u32);
+            corners.extend_from_slice(&self.corners[start as usize..(start + vertex.len) as usize]);
+            corners.resize((vertex.start + room(vertex.len)) as usize, NONE);
+        }
+        self.corners = corners;
+    }
+}
+
+/// Lists may take this many times the corners there are.
+const MOST_HOLES: usize = 8;
+
+/// Grid coordinates as numbers to calculate with.
+pub fn vec(p: Grid) -> DVec3 {
+    DVec3::new(p[0] as f64, p[1] as f64, p[2] as f64)
 }
 
 impl Star {
@@ -201,34 +323,39 @@ impl Star {
 
     fn list_rims(&mut self) {
         let many = self.spokes.len() > MOST_ORDERED;
-        for (i, spoke) in self.spokes.iter().enumerate() {
-            for vertex in [spoke.a, spoke.b] {
-                if many || self.rims.iter().all(|r| r.vertex != vertex) {
-                    self.rims.push(Rim { vertex, spoke: i as u32, other: i as u32, stay: 0, leave: 0 });
-                }
-            }
-        }
+        let rim = |vertex, spoke| Rim { vertex, at: DVec3::ZERO, spoke, other: spoke, stay: 0, leave: 0 };
         if many {
+            self.rims.extend(self.spokes.iter().zip(0..).flat_map(|(s, i)| [rim(s.a, i), rim(s.b, i)]));
             self.rims.sort_unstable_by_key(|r| (r.vertex, r.spoke));
             self.rims.dedup_by_key(|r| r.vertex);
         }
+        for (i, spoke) in self.spokes.iter_mut().enumerate() {
+            spoke.rims = [spoke.a, spoke.b].map(|vertex| {
+                let known = if many {
+                    self.rims.binary_search_by_key(&vertex, |r| r.vertex).ok()
+                } else {
+                    self.rims.iter().rposition(|r| r.vertex == vertex)
+                };
+                known.unwrap_or_else(|| {
+                    self.rims.push(rim(vertex, i as u32));
+                    self.rims.len() - 1
+                }) as u32
+            });
+        }
+    }
+
+    /// Where the corners of a spoke other than the vertex are.
+    pub fn ends(&self, spoke: &Spoke) -> [DVec3; 2] {
+        spoke.rims.map(|i| self.rims[i as usize].at)
     }
 
     /// Counts for every rim the spokes on either side.
     pub fn count_sides(&mut self, leaves: &[bool]) {
-        let many = self.spokes.len() > MOST_ORDERED;
         for (place, (spoke, &leaves)) in self.spokes.iter().zip(leaves).enumerate() {
-            for vertex in [spoke.a, spoke.b] {
-                let rim = if many {
-                    self.rims.binary_search_by_key(&vertex, |r| r.vertex).ok()
-                } else {
-                    self.rims.iter().position(|r| r.vertex == vertex)
-                };
-                if let Some(i) = rim {
-                    let rim = &mut self.rims[i];
-                    rim.other = place as u32;
-                    *(if leaves { &mut rim.leave } else { &mut rim.stay }) += 1;
-                }
+            for i in spoke.rims {
+                let rim = &mut self.rims[i as usize];
+                rim.other = place as u32;
+                *(if leaves { &mut rim.leave } else { &mut rim.stay }) += 1;
             }
         }
     }

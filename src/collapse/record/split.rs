@@ -1,7 +1,7 @@
 //! What a split is made of, and how each part of it is predicted.
 //!
 //! # Method
-//! 1. Which vertex splits: any of those that live.
+//! 1. Which vertex splits: any of those that live; of [`GROUP`] splits at once.
 //! 2. Which faces go to the new vertex: a bit a face around the fan, under how often the side has changed so far.
 //! 3. Which faces appear: for each neighbour their number, under how many faces on either side use it; then their turn,
 //!    that their neighbours foretell, and their class.
@@ -13,7 +13,7 @@ use glam::DVec3;
 
 use super::coder::{Coder, Number, Prob, Tree};
 use super::level::level_of;
-use super::live::{Fold, Grid, Live, Star, Wing};
+use super::live::{Fold, Grid, Live, Star, Wing, vec};
 use crate::collapse::record::MAX_CLASSES;
 use crate::geo::bvh::closest_on_triangle;
 
@@ -36,6 +36,9 @@ pub struct Split {
     pub deviation: [u8; MAX_CLASSES],
 }
 
+/// The vertices of so many splits are told ahead, so that a reader can fetch their stars at once.
+pub const GROUP: usize = 32;
+
 /// Coordinates beyond this are nonsense: they could not be told apart in f64.
 pub const MOST_COORDINATE: i64 = 1 << 51;
 
@@ -47,7 +50,7 @@ pub struct Models {
     folds: [Prob; 4],
     turned: [Prob; 2],
     class_as: Vec<Prob>,
-    class: Tree<5>,
+    class: Tree<32>,
     moved: [Prob; 2],
     /// By kind of axis, then by the size of what is around.
     along: Vec<Number>,
@@ -60,6 +63,8 @@ pub struct Models {
     was_energy_delta: bool,
     classes: usize,
     step_m: f64,
+    /// An empty list that has room already.
+    spare: Vec<Wing>,
 }
 
 /// The new vertex lies this share of the way from the middle of its neighbours to the one it splits off (0.2 to 0.4: the
@@ -90,12 +95,13 @@ impl Models {
             was_energy_delta: false,
             classes,
             step_m,
+            spare: Vec::new(),
         }
     }
 
-    /// Codes which vertex splits.
-    pub fn code_kept(&mut self, coder: &mut impl Coder, live: &Live, kept: u32) -> u32 {
-        coder.uniform(live.points.len() as u32, kept)
+    /// Codes which vertex splits, of so many.
+    pub fn code_kept(&mut self, coder: &mut impl Coder, vertices: usize, kept: u32) -> u32 {
+        coder.uniform(vertices as u32, kept)
     }
 
     /// Codes the rest of `split`, whose star is `star`, with at most `most` new faces.
@@ -147,7 +153,7 @@ impl Models {
         split: &mut Split,
         most: usize,
     ) -> Result<(), &'static str> {
-        let mut given = std::mem::take(&mut split.wings);
+        let mut given = std::mem::replace(&mut split.wings, std::mem::take(&mut self.spare));
         let wings = &mut split.wings;
         for rim in &star.rims {
             for so_far in 0.. {
@@ -166,7 +172,7 @@ impl Models {
                 // The face beside it runs the other way along the edge they share.
                 let hint = (rim.vertex == spoke.a) == split.leaves[rim.spoke as usize];
                 wing.turned = coder.bit(&mut self.turned[0], wing.turned != hint) != hint;
-                let beside = [rim.spoke, rim.other].map(|i| live.classes[star.spokes[i as usize].corner as usize / 3]);
+                let beside = [rim.spoke, rim.other].map(|i| star.spokes[i as usize].class);
                 wing.class = self.code_class(coder, beside, wing.class);
                 wings.push(wing);
             }
@@ -177,15 +183,17 @@ impl Models {
                 return Err("more faces than it says it has");
             }
             let mut wing = given.pop().unwrap_or_default();
-            wing.apex = coder.uniform(live.points.len() as u32, wing.apex);
+            wing.apex = coder.uniform(live.vertices() as u32, wing.apex);
             if wing.apex == split.kept {
                 return Err("a face with one vertex twice");
             }
             wing.turned = coder.bit(&mut self.turned[1], wing.turned);
-            let like = star.spokes.first().map_or(0, |s| live.classes[s.corner as usize / 3]);
+            let like = star.spokes.first().map_or(0, |s| s.class);
             wing.class = self.code_class(coder, [like; 2], wing.class);
             wings.push(wing);
         }
+        given.clear();
+        self.spare = given;
         Ok(())
     }
 
@@ -199,7 +207,7 @@ impl Models {
         most: usize,
     ) -> Result<(), &'static str> {
         let given = std::mem::take(&mut split.folds);
-        let like = star.spokes.first().map_or(0, |s| live.classes[s.corner as usize / 3]);
+        let like = star.spokes.first().map_or(0, |s| s.class);
         for so_far in 0.. {
             let next = given.get(so_far);
             if !coder.bit(&mut self.folds[so_far.min(1)], next.is_some()) {
@@ -225,7 +233,7 @@ impl Models {
     fn code_neighbour(&mut self, coder: &mut impl Coder, live: &Live, star: &Star, v: u32) -> u32 {
         let place = star.rims.iter().position(|r| r.vertex == v);
         if coder.bit(&mut self.folds[3], place.is_none()) || star.rims.is_empty() {
-            return coder.uniform(live.points.len() as u32, v);
+            return coder.uniform(live.vertices() as u32, v);
         }
         let count = (star.rims.len() as u32).min(1 << 16);
         star.rims[coder.uniform(count, place.unwrap_or(0) as u32) as usize].vertex
@@ -250,17 +258,17 @@ impl Models {
         star: &Star,
         split: &mut Split,
     ) -> Result<(), &'static str> {
-        let coarse = live.points[split.kept as usize];
+        let coarse = live.at(split.kept);
         let is_apex = |v: u32| split.wings.iter().any(|w| w.apex == v);
         let ring = |leaving: bool| {
             star.rims.iter().filter(move |r| (if leaving { r.leave } else { r.stay }) > 0 || is_apex(r.vertex))
         };
-        let normal = normal_of(live, star, &split.leaves, coarse);
-        let around = Around::of(live, ring(true).map(|r| r.vertex), coarse, normal);
+        let normal = normal_of(star, &split.leaves, vec(coarse));
+        let around = Around::of(ring(true).map(|r| r.at), vec(coarse), normal);
         split.gone_at = self.code_point(coder, &around, around.middle.lerp(vec(coarse), PULL), split.gone_at, 0)?;
         split.kept_at = if coder.bit(&mut self.moved[usize::from(self.was_moved)], split.kept_at != coarse) {
             self.was_moved = true;
-            let around = Around::of(live, ring(false).map(|r| r.vertex), split.gone_at, normal);
+            let around = Around::of(ring(false).map(|r| r.at), vec(split.gone_at), normal);
             // Placement pulls towards the middle of the edge; the ring says less (half the guess: 0.8 bytes more).
             let mirrored = 2.0 * vec(coarse) - vec(split.gone_at);
             self.code_point(coder, &around, mirrored, split.kept_at, 3)?
@@ -303,13 +311,13 @@ impl Models {
         if self.classes == 0 {
             return;
         }
-        let near = vec(split.gone_at);
+        let (near, coarse) = (vec(split.gone_at), vec(live.at(split.kept)));
         let mut in_star = 0u32;
         let mut squared = f64::INFINITY;
         for spoke in &star.spokes {
-            let face = spoke.corner as usize / 3;
-            in_star |= 1 << live.classes[face];
-            let corners = live.faces[face].map(|v| vec(live.points[v as usize]));
+            in_star |= 1 << spoke.class;
+            let [a, b] = star.ends(spoke);
+            let corners = [coarse, a, b];
             squared = squared.min((closest_on_triangle(near, &corners) - near).length_squared());
         }
         split.wings.iter().for_each(|w| in_star |= 1 << w.class);
@@ -340,10 +348,6 @@ impl Models {
     }
 }
 
-fn vec(p: Grid) -> DVec3 {
-    DVec3::new(p[0] as f64, p[1] as f64, p[2] as f64)
-}
-
 /// Bits of a length in grid steps.
 fn size_class(length: f64) -> usize {
     let steps = length.abs() as u64;
@@ -351,13 +355,13 @@ fn size_class(length: f64) -> usize {
 }
 
 /// Sum of the cross products of the faces that leave, or of all if none does.
-fn normal_of(live: &Live, star: &Star, leaves: &[bool], at: Grid) -> DVec3 {
+fn normal_of(star: &Star, leaves: &[bool], at: DVec3) -> DVec3 {
     let all = !leaves.contains(&true);
     let mut sum = DVec3::ZERO;
     for (spoke, leaves) in star.spokes.iter().zip(leaves) {
         if all || *leaves {
-            let [a, b] = [spoke.a, spoke.b].map(|v| vec(live.points[v as usize]) - vec(at));
-            sum += a.cross(b);
+            let [a, b] = star.ends(spoke);
+            sum += (a - at).cross(b - at);
         }
     }
     sum
@@ -380,8 +384,8 @@ struct Around {
 }
 
 impl Around {
-    fn of(live: &Live, ring: impl Iterator<Item = u32> + Clone, and: Grid, normal: DVec3) -> Self {
-        let points = || ring.clone().map(|v| vec(live.points[v as usize])).chain([vec(and)]);
+    fn of(ring: impl Iterator<Item = DVec3> + Clone, and: DVec3, normal: DVec3) -> Self {
+        let points = || ring.clone().chain([and]);
         let count = points().count() as f64;
         let middle = points().sum::<DVec3>() / count;
         let size = normal.abs();
@@ -402,7 +406,7 @@ impl Around {
             rough += (d[w] + slope[0] * d[axes[0]] + slope[1] * d[axes[1]]).abs();
         }
         // Twice the mean: half powers would cost more contexts than they are worth.
-        let side = [0, 1, 2].map(|k| usize::from(and[k] as f64 > middle[k]));
+        let side = [0, 1, 2].map(|k| usize::from(and[k] > middle[k]));
         Self {
             middle,
             side,

@@ -51,9 +51,9 @@ const CLIFF: f32 = 2.0;
 /// capture has to look the same wherever it lies. The fraction keeps models whose vertices have a grid of their own off
 /// the borders of cells, where rounding decides.
 const MARGIN: f64 = 3.31;
-/// How far around the lowest is looked for that goes on beyond the border of the capture, metres. Of a street corner with
-/// trees at its border 87 % is right where the surface itself goes on, 93 % so; at 10 m slopes fall away too far.
-const BORDER_M: f64 = 5.0;
+/// What is narrower than twice this does not go on beyond the border of the capture, metres. Of a street corner with
+/// trees at its border 87 % were right where they went on, 93 % are so.
+const BORDER_M: f64 = 7.0;
 /// What `max_cells` is at least: the margins alone take a hundred.
 pub(super) const MIN_CELLS: u32 = 1024;
 /// The grid lies askew to the walls, as far from along them as from diagonal: of a wall that follows a row of cells all
@@ -93,10 +93,11 @@ impl Ground {
     /// Models the ground of a mesh that may be a part of something larger with a lattice of its own.
     pub fn on(lattice: Option<Lattice>, mesh: &Mesh, planes: &Planes, config: &ClassesConfig) -> Self {
         let mut ground = Self::grid(lattice, mesh, planes, config);
-        ground.lowest = ground.lowest_surface(mesh, planes);
+        let (lowest, feet) = ground.lowest_surface(mesh, planes);
+        ground.lowest = lowest;
         let widest = ((0.5 * config.widest_building_m / ground.cell_m).ceil() as usize).max(1);
         let cell = ground.cell_m as f32;
-        let surface = ground.surface();
+        let surface = ground.surface(&feet);
         let allowed = vec![STEEPEST * cell + STEP_SLACK_M; surface.len()];
         let first = ground.without_objects(&surface, &allowed, widest);
         let slope = ground.slope(&first);
@@ -200,8 +201,9 @@ impl Ground {
         (q.x >= 0.0 && q.y >= 0.0 && i < self.nx && j < self.ny).then(|| j * self.nx + i)
     }
 
-    /// Lowest upward surface per cell, completed by wall feet, without pits.
-    fn lowest_surface(&self, mesh: &Mesh, planes: &Planes) -> Vec<f32> {
+    /// Lowest upward surface per cell, completed by wall feet, without pits; and the feet that complete it, infinite
+    /// elsewhere.
+    fn lowest_surface(&self, mesh: &Mesh, planes: &Planes) -> (Vec<f32>, Vec<f32>) {
         let mut low = vec![f32::INFINITY; self.nx * self.ny];
         for f in 0..mesh.faces.len() {
             let normal: f32 = mesh.faces[f].iter().map(|&v| planes.vertex_normals[v as usize].z).sum::<f32>() / 3.0;
@@ -211,14 +213,16 @@ impl Ground {
                 });
             }
         }
-        let feet = self.wall_feet(mesh, planes);
+        let mut feet = self.wall_feet(mesh, planes);
         let around = extreme(&low, self.nx, self.ny, 1, lower);
-        for (cell, foot) in feet.iter().enumerate() {
+        for (cell, foot) in feet.iter_mut().enumerate() {
             if *foot + 2.0 < around[cell] {
                 low[cell] = low[cell].min(*foot);
+            } else {
+                *foot = f32::INFINITY;
             }
         }
-        self.fill_pits(low)
+        (self.fill_pits(low), feet)
     }
 
     /// Visits the cells under a triangle with its [`Ground::level`] there: its corners, and its inside where it is wider than
@@ -366,14 +370,21 @@ impl Ground {
         self.filled(kept.collect())
     }
 
-    /// The lowest surface everywhere. Beyond the border of the capture what is lowest near the border goes on: a tree or
-    /// a house there must not look as if it went on, and so as ground.
-    fn surface(&self) -> Vec<f32> {
+    /// The lowest surface everywhere. Beyond the border of the capture it goes on without what is narrow, and as low as
+    /// the feet of walls near it: a tree or a house there must not look as if it went on, and so as ground.
+    fn surface(&self, feet: &[f32]) -> Vec<f32> {
         let (nx, ny) = (self.nx, self.ny);
-        let around = |reach: usize| extreme(&self.lowest, nx, ny, reach, lower);
-        let low = around(((BORDER_M / self.cell_m).round() as usize).max(1)).into_iter().zip(&self.lowest);
-        let beyond = self.filled(low.map(|(low, z)| if z.is_finite() { low } else { f32::INFINITY }).collect());
-        let within = self.filled(self.lowest.clone()).into_iter().zip(around(MARGIN as usize));
+        let reach = ((BORDER_M / self.cell_m).round() as usize).max(1);
+        let known = |height: Vec<f32>, otherwise: f32| -> Vec<f32> {
+            let all = height.into_iter().zip(&self.lowest);
+            all.map(|(z, lowest)| if lowest.is_finite() { z } else { otherwise }).collect()
+        };
+        let eroded = known(extreme(&self.lowest, nx, ny, reach, lower), f32::NEG_INFINITY);
+        let opened = extreme(&eroded, nx, ny, reach, higher).into_iter();
+        let low = opened.zip(extreme(feet, nx, ny, reach, lower)).map(|(z, foot)| lower(z, foot));
+        let beyond = self.filled(known(low.collect(), f32::INFINITY));
+        let near = extreme(&self.lowest, nx, ny, MARGIN as usize, lower);
+        let within = self.filled(self.lowest.clone()).into_iter().zip(near);
         within.zip(beyond).map(|((z, near), beyond)| if near.is_finite() { z } else { beyond }).collect()
     }
 

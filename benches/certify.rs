@@ -3,25 +3,19 @@
 //! `cargo bench --bench certify -- MESH…`. The levels are the mesh simplified to 50, 20, 10, 5 and 2 %. One JSON line a
 //! level; `prepare_s` is the source's tree, made once for all levels.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use rooftile::classes::Classes;
 use rooftile::collapse::{Method, SimplifyConfig, Target, simplify};
 use rooftile::ids::{ClassId, ClassScheme};
 use rooftile::measure::{MeasureConfig, Reference, Surface};
-use rooftile::mesh;
-use rooftile::report::Reporter;
 
-/// Processor seconds of this thread, from the kernel's own nanoseconds; 0 where it does not tell.
-fn cpu_s() -> f64 {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    text.split_whitespace().next().and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9
-}
+use common::{cpu_s, mesh, on_one_thread};
+
+mod common;
 
 fn run(path: &Path) {
-    let reporter = Reporter::new(true);
-    let (source, _) = rooftile::input::read(&[path.into()], &Default::default(), &reporter).expect("a mesh");
-    let (mesh, _) = mesh::gate(source, &Default::default(), &reporter).expect("a mesh");
+    let mesh = mesh(path);
     let faces = mesh.faces.len();
     let start = cpu_s();
     let reference =
@@ -56,10 +50,10 @@ fn run(path: &Path) {
 }
 
 fn main() {
-    let paths: Vec<PathBuf> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).map(PathBuf::from).collect();
-    if paths.is_empty() {
-        eprintln!("certify: give it a mesh");
-    }
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool of one thread");
-    pool.install(|| paths.iter().for_each(|path| run(path)));
+    on_one_thread(|paths| {
+        if paths.is_empty() {
+            eprintln!("certify: give it a mesh");
+        }
+        paths.iter().for_each(|path| run(path));
+    });
 }

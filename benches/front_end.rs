@@ -8,15 +8,12 @@ use std::path::PathBuf;
 use glam::DVec3;
 use rooftile::classes::{ClassesConfig, label};
 use rooftile::ids::ClassScheme;
-use rooftile::mesh::{self, Mesh};
+use rooftile::mesh::Mesh;
 use rooftile::planes::{PlanesConfig, grow};
-use rooftile::report::Reporter;
 
-/// Processor seconds of this thread, from the kernel's own nanoseconds; 0 where it does not tell.
-fn cpu_s() -> f64 {
-    let text = std::fs::read_to_string("/proc/thread-self/schedstat").unwrap_or_default();
-    text.split_whitespace().next().and_then(|ns| ns.parse::<f64>().ok()).unwrap_or(0.0) * 1e-9
-}
+use common::{cpu_s, mesh, on_one_thread};
+
+mod common;
 
 /// A figure of the process in bytes, as `VmRSS` and `VmHWM`; 0 where it is not told.
 fn memory(name: &str) -> f64 {
@@ -72,18 +69,10 @@ fn run(paths: &[PathBuf]) {
         }
     }
     for path in paths {
-        let reporter = Reporter::new(true);
-        let (mut source, _) =
-            rooftile::input::read(std::slice::from_ref(path), &Default::default(), &reporter).expect("a mesh");
-        let origin = source.parts[0].positions[0].round();
-        source.parts.iter_mut().flat_map(|part| &mut part.positions).for_each(|p| *p -= origin);
-        let (mesh, _) = mesh::gate(source, &Default::default(), &reporter).expect("a mesh");
-        measure(&path.display().to_string(), &mesh);
+        measure(&path.display().to_string(), &mesh(path));
     }
 }
 
 fn main() {
-    let paths: Vec<PathBuf> = std::env::args().skip(1).filter(|a| !a.starts_with("--")).map(PathBuf::from).collect();
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().expect("a pool of one thread");
-    pool.install(|| run(&paths));
+    on_one_thread(run);
 }

@@ -327,8 +327,9 @@ fn gaps([of, other]: [&Border; 2], [met, other_met]: [&[bool]; 2], tree: Option<
     links.sort_unstable();
     // A vertex that was moved out of the seam still stands between two that are in it, and the neighbour misses it too:
     // of a slit in the surface that ends near the seam both lips meet the neighbour's, and its tip was never there.
-    let missed = || other.points.iter().zip(other_met).filter(|(p, met)| !**met && zone.contains(**p, 0.0));
-    let is_missed = |p: DVec3| missed().any(|(q, _)| q.distance_squared(p) <= MISSED_M * MISSED_M);
+    let lone = other.points.iter().zip(other_met).filter(|(p, met)| !**met && zone.contains(**p, 0.0));
+    let missed: Vec<DVec3> = lone.map(|(p, _)| *p).collect();
+    let is_missed = |p: DVec3| missed.iter().any(|q| q.distance_squared(p) <= MISSED_M * MISSED_M);
     let mut counts = is_in.clone();
     for group in links.chunk_by(|a, b| a.0 == b.0) {
         let in_seam = group.iter().filter(|(_, n)| is_in[*n as usize]).count();

@@ -57,7 +57,7 @@ const UNDER_ROOF_M: f64 = 0.5;
 /// Revises the scores in place.
 pub fn revise(scene: Scene, neighbours: &[[u32; 3]], ground: &Ground, config: &ClassesConfig, field: &mut [Scores]) {
     let Scene { mesh, planes, .. } = scene;
-    let footprints = Footprints::of(scene, neighbours, ground, config, field);
+    let footprints = Footprints::of(mesh, neighbours, ground, config, field);
     judge_roofs(mesh, ground, &footprints, field);
     judge_walls(mesh, planes, ground, config, &footprints, field);
     shelter(mesh, ground, &footprints, field);
@@ -122,10 +122,7 @@ struct Footprints {
 }
 
 impl Footprints {
-    fn of(scene: Scene, neighbours: &[[u32; 3]], ground: &Ground, config: &ClassesConfig, field: &[Scores]) -> Self {
-        let mesh = scene.mesh;
-        // Where the mesh was cut from something larger nobody knows how the surface goes on.
-        let is_cut = |v: u32| scene.cut.get(v as usize).copied().unwrap_or(false);
+    fn of(mesh: &Mesh, neighbours: &[[u32; 3]], ground: &Ground, config: &ClassesConfig, field: &[Scores]) -> Self {
         let mut top = vec![f64::NEG_INFINITY; ground.cells()];
         for f in (0..field.len()).filter(|f| best(&field[*f]) == ROOF) {
             ground.for_cells(mesh.corners(f), |cell, z| top[cell] = top[cell].max(z));
@@ -138,9 +135,6 @@ impl Footprints {
                     let Some(own) = group_at(ground, &group, centre(mesh, f)) else { continue };
                     let sum = &mut sums[own as usize];
                     sum.area += 0.5 * mesh.cross(f).z.abs();
-                    if mesh.faces[f].iter().filter(|v| is_cut(**v)).count() > 1 {
-                        continue;
-                    }
                     for (edge, beyond, is_end) in rim(mesh, neighbours, f, |g| best(&field[g]) == ROOF) {
                         let length = edge[0].distance(edge[1]);
                         let Some(drop) = ground.drop_below(beyond) else {

@@ -167,7 +167,7 @@ impl ClassesConfig {
 /// # Panics
 /// If the scheme is empty, which its check refuses.
 pub fn label(mesh: &Mesh, planes: &Planes, scheme: &ClassScheme, config: &ClassesConfig) -> Classes {
-    classify(Scene { mesh, planes, face_colors: &[], cut: &[] }, scheme, config)
+    classify(Scene { mesh, planes, face_colors: &[] }, scheme, config)
 }
 
 /// Scores of terrain, façade, roof and clutter per face.

@@ -61,7 +61,7 @@ impl Front {
 
     /// What features are measured on.
     pub fn scene(&self) -> Scene<'_> {
-        Scene { mesh: &self.mesh, planes: &self.planes, face_colors: &self.face_colors, cut: &[] }
+        Scene { mesh: &self.mesh, planes: &self.planes, face_colors: &self.face_colors }
     }
 
     /// Areas of the faces, m².

@@ -156,11 +156,11 @@ impl Labeller<'_> {
         // In the order of the whole: where planes compete for a face, the order of faces decides.
         let mut cells: Vec<u32> = window.iter().map(|w| w.cell).chain(halo).collect();
         cells.sort_unstable();
-        let Joined { mesh, starts, face_colors, cut } = self.joined(&cells)?;
+        let Joined { mesh, starts, face_colors } = self.joined(&cells)?;
         reporter.check()?;
         let planes = planes::grow_part(&mesh, &config.planes, Some(self.grain));
         reporter.check()?;
-        let scene = Scene { mesh: &mesh, planes: &planes, face_colors: &face_colors, cut: &cut };
+        let scene = Scene { mesh: &mesh, planes: &planes, face_colors: &face_colors };
         let ground = Ground::on(Some(self.lattice), &mesh, &planes, &config.classify);
         let measures = Measures::new(scene, &ground, &config.classify.nine);
         let mut classes = classify_measured(scene, &ground, &measures, &config.classes, &config.classify);
@@ -215,11 +215,6 @@ impl Labeller<'_> {
             all.starts.push(all.mesh.faces.len());
         }
         all.mesh.materials.clone_from(&self.city.materials);
-        all.cut = vec![false; all.mesh.positions.len()];
-        for &v in ids.values() {
-            let (cut, p) = (&mut all.cut[v as usize], all.mesh.positions[v as usize]);
-            self.city.tree.touching(p.truncate(), u8::MAX, |leaf| *cut |= cells.binary_search(&leaf).is_err());
-        }
         Ok(all)
     }
 }
@@ -232,8 +227,6 @@ struct Joined {
     starts: Vec<usize>,
     /// Per face; empty where nobody looks at them.
     face_colors: Vec<[u8; 3]>,
-    /// Per vertex: there are more leaves here.
-    cut: Vec<bool>,
 }
 
 /// How much of the source is of each class, and how much of that is right where the source says so.

@@ -157,8 +157,6 @@ pub struct Scene<'a> {
     pub planes: &'a Planes,
     /// Mean sRGB per face; empty where nothing has colour.
     pub face_colors: &'a [[u8; 3]],
-    /// Per vertex: the surface goes on here beyond the mesh, which is a part. Empty for the whole of a surface.
-    pub cut: &'a [bool],
 }
 
 /// Features of a scene, measured when first asked for.
@@ -291,7 +289,7 @@ impl<'a> Measures<'a> {
 
     /// Features that faces have of themselves.
     fn natural_to_faces(&self, name: &str) -> Option<Vec<f32>> {
-        let Scene { mesh, planes, face_colors, .. } = self.scene;
+        let Scene { mesh, planes, face_colors } = self.scene;
         let per_face = |of: &(dyn Fn(usize) -> f32 + Sync)| -> Vec<f32> {
             (0..mesh.faces.len()).into_par_iter().with_min_len(4096).map(of).collect()
         };

@@ -29,7 +29,7 @@ const WALL: usize = 15 * 11 + 5;
 fn with<T>(mesh: &Mesh, colors: &[[u8; 3]], look: impl FnOnce(&Measures) -> T) -> T {
     let planes = grow(mesh, &PlanesConfig::default());
     let ground = Ground::of(mesh, &planes, &ClassesConfig::default());
-    let scene = Scene { mesh, planes: &planes, face_colors: colors, cut: &[] };
+    let scene = Scene { mesh, planes: &planes, face_colors: colors };
     look(&Measures::new(scene, &ground, &NineConfig::default()))
 }
 

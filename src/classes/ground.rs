@@ -3,7 +3,7 @@
 //! # Method
 //! 1. A grid that lies askew to the mesh's own walls, so that it turns with the mesh. Lowest upward-facing surface per
 //!    cell; feet of tall walls where nothing upward lies near them (buildings captured without their surroundings);
-//!    small pits (reconstruction noise below ground) are filled.
+//!    small pits (reconstruction noise below ground) are filled. Beyond the border of the capture what is wide goes on.
 //! 2. Openings with windows that grow cell by cell: what one step cuts off by more than the terrain's slope
 //!    explains stands on the ground. Twice: the first pass allows [`STEEPEST`] everywhere and yields the local
 //!    slope for the second. A cliff or terrace survives, since an opening cuts only what falls on all sides.

@@ -27,9 +27,9 @@ use crate::{Error, Result};
 /// each than what is classified.
 const ITEMS_PER_FACE: u64 = 2;
 
-/// A window is cut into so many blocks at least, or the coarse steps would be one thread's; but into none smaller than …
+/// A window is cut into so many blocks at least, or the coarse steps would be one thread's.
 const LEAST_BLOCKS: usize = 8;
-/// … this, for their borders are locked.
+/// But for that no block has fewer faces than this: borders of blocks are locked.
 const SMALL_BLOCK_FACES: usize = 25_000;
 
 /// The current surface, cell by cell.

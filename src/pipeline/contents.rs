@@ -39,6 +39,10 @@ use crate::{Error, Result};
 /// Memory one tile in the making takes at most, about, bytes; a leaf takes a third of it.
 const TILE_BYTES: u64 = 450_000_000;
 
+/// Texels up to this many times as large as those they were painted from are no coarser: charts that are laid anew, flat
+/// where the source's were not, come out some tenth larger at the same wish.
+const AS_SHARP: f64 = 1.25;
+
 /// What is known of a tile whose content is in the store.
 #[derive(Clone, Serialize, Deserialize)]
 pub(super) struct Record {
@@ -46,11 +50,21 @@ pub(super) struct Record {
     pub bounds: Aabb,
     pub geometry_m: f64,
     pub texel_m: f64,
+    pub reference_texel_m: f64,
     pub triangles: usize,
     pub skirt_triangles: usize,
     pub classes: Vec<ClassDeviation>,
     /// Of a leaf: images it uses that cannot be read, and what to say of them.
     pub faults: BTreeMap<u32, String>,
+}
+
+impl Record {
+    /// The error to be written if a viewer may see `texel_factor` pixels of it, metres: at the distance where a tile is
+    /// exchanged its texels cover a pixel, if finer tiles have smaller ones. Those that have not show nothing more.
+    pub fn error_m(&self, texel_factor: f64) -> f64 {
+        let is_as_sharp = self.texel_m <= AS_SHARP * self.reference_texel_m;
+        if is_as_sharp { self.geometry_m } else { self.geometry_m.max(texel_factor * self.texel_m) }
+    }
 }
 
 /// The name of a tile's content in the store.
@@ -147,6 +161,7 @@ impl Contents<'_> {
             bounds: Aabb { min: made.bounds.min - outward, max: made.bounds.max + outward },
             geometry_m: made.geometry_m + rounding_m,
             texel_m: made.texel_m,
+            reference_texel_m: made.reference_texel_m,
             triangles: made.triangles,
             skirt_triangles: made.skirt_triangles,
             classes: made.classes.into_iter().map(rounded).collect(),
@@ -303,5 +318,32 @@ impl Contents<'_> {
         part.face_material = vec![all.materials.len() as u32; part.faces.len()];
         all.materials.push(Material { name, base_color: DEFAULT_COLOR, image });
         Ok(part)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texels_count_where_finer_tiles_have_smaller_ones() {
+        let of = |texel_m: f64, reference_texel_m: f64| {
+            let record = Record {
+                bytes: 0,
+                bounds: Aabb::of([DVec3::ZERO]),
+                geometry_m: 0.5,
+                texel_m,
+                reference_texel_m,
+                triangles: 0,
+                skirt_triangles: 0,
+                classes: Vec::new(),
+                faults: BTreeMap::new(),
+            };
+            record.error_m(16.0)
+        };
+        assert_eq!(of(0.2, 0.1), 3.2);
+        assert_eq!(of(0.13, 0.125), 0.5, "no finer tile shows more");
+        assert_eq!(of(0.02, 0.01), 0.5, "the surface is off by more than a texel blurs");
+        assert_eq!(of(0.0, 0.0), 0.5, "no texture at all");
     }
 }

@@ -257,8 +257,7 @@ impl Tree<'_> {
             })
             .collect();
         let of_children = children.iter().map(|c| c.geometric_error_m).fold(0.0, f64::max);
-        // A leaf is the source, texels and all: only what rounding did to it counts.
-        let own = if node.is_leaf() { made.geometry_m } else { made.geometry_m.max(texel_factor * made.texel_m) };
+        let own = made.error_m(texel_factor);
         // The scale at which the certified bounds are within their budgets, whatever the collapse was allowed.
         // Rounded up, so that the budget at that scale is not below the bound.
         let of_class = |d: &ClassDeviation| match d.bound_m {

@@ -32,6 +32,8 @@ pub struct MadeTile {
     pub geometry_m: f64,
     /// Size of a texel, metres; 0 without texture.
     pub texel_m: f64,
+    /// Size of a texel of what the tile was painted from; of a leaf its own.
+    pub reference_texel_m: f64,
     /// Triangles of the surface.
     pub triangles: usize,
     /// Triangles of skirts.
@@ -189,7 +191,8 @@ impl Maker<'_> {
             let file = (fit.encode)(&made.content);
             return Ok((made, file));
         }
-        let texel_m = (geometry_m / self.texel_factor).max(source.surface().texel_m(images));
+        let reference_texel_m = source.surface().texel_m(images);
+        let texel_m = (geometry_m / self.texel_factor).max(reference_texel_m);
         let from = BakeSource { surface: source.surface(), bvh: &tree };
         let mut max_atlas_px = fit.atlas_px.min(self.texture.max_atlas_px);
         loop {
@@ -200,7 +203,7 @@ impl Maker<'_> {
             let file = (fit.encode)(&made.content);
             match fit.smaller(&made, &file, side_px) {
                 Some(px) => max_atlas_px = px,
-                None => return Ok((made, file)),
+                None => return Ok((MadeTile { reference_texel_m, ..made }, file)),
             }
         }
     }
@@ -287,6 +290,7 @@ impl Maker<'_> {
             bounds: Aabb::of(content.positions.iter().map(|p| origin + p.as_dvec3())),
             geometry_m: geometry_m + added_m,
             texel_m,
+            reference_texel_m: texel_m,
             triangles,
             skirt_triangles: content.faces.len() - triangles,
             classes,

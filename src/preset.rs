@@ -54,7 +54,7 @@ pub const PRESETS: [Preset; 4] = [
     },
     Preset {
         name: "flight",
-        purpose: "obstacles: tiles are raised to roofs and façades, and those still lower by more than a budget are named",
+        purpose: "obstacles: tiles are raised until no roof or façade stands out by more than its budget",
         settings: &[
             ("budget.roof", "0.05"),
             ("budget.facade", "0.05"),

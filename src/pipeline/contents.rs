@@ -25,13 +25,14 @@ use serde::{Deserialize, Serialize};
 use super::hierarchy::{Node, surface};
 use super::ingest::{City, leaf_mesh};
 use super::labels::leaf_labels;
-use super::{Job, Resources};
+use super::{Job, Resources, tops};
 use crate::geo::Aabb;
 use crate::input::{DEFAULT_COLOR, ImageRef, Material};
 use crate::report::{Reporter, Stage};
 use crate::store::Store;
 use crate::texture::Images;
 use crate::tiles::content::{Apart, ClassDeviation, Fit, MadeTile, Maker, Reference};
+use crate::tiles::raise::Held;
 use crate::tiles::skirt::Hem;
 use crate::write::{self, GlbOptions, TileContent};
 use crate::{Error, Result};
@@ -150,21 +151,24 @@ impl Contents<'_> {
             self.write_paint(tile, &made)?;
         }
         let outward = DVec3::splat(rounding_m);
-        let rounded = |c: ClassDeviation| ClassDeviation {
-            bound_m: c.bound_m + rounding_m,
-            inside_m: c.inside_m + rounding_m,
-            sunk_m: c.sunk_m + rounding_m,
-            ..c
+        let held = tops::held(self.store, tile)?;
+        let moved_m = self.city.moved_m + made.rounding_m;
+        let rounded = |c: ClassDeviation| {
+            let c = raised(c, &held, moved_m);
+            let [bound_m, inside_m, sunk_m] = [c.bound_m, c.inside_m, c.sunk_m].map(|m| m + rounding_m);
+            ClassDeviation { bound_m, inside_m, sunk_m, ..c }
         };
+        let classes: Vec<ClassDeviation> = made.classes.into_iter().map(rounded).collect();
+        let worst_m = classes.iter().map(|c| c.bound_m).fold(made.geometry_m + rounding_m, f64::max);
         let record = Record {
             bytes: file.len() as u64,
             bounds: Aabb { min: made.bounds.min - outward, max: made.bounds.max + outward },
-            geometry_m: made.geometry_m + rounding_m,
+            geometry_m: worst_m,
             texel_m: made.texel_m,
             reference_texel_m: made.reference_texel_m,
             triangles: made.triangles,
             skirt_triangles: made.skirt_triangles,
-            classes: made.classes.into_iter().map(rounded).collect(),
+            classes,
             faults,
         };
         let bytes = serde_json::to_vec(&record).map_err(|e| Error::Bug(format!("tile: {e}")))?;
@@ -318,6 +322,19 @@ impl Contents<'_> {
         part.face_material = vec![all.materials.len() as u32; part.faces.len()];
         all.materials.push(Material { name, base_color: DEFAULT_COLOR, image });
         Ok(part)
+    }
+}
+
+/// What is certified of a class together with what its tile was raised for, where vertices have moved by `moved_m` since:
+/// the bound is as far as it was looked around, the sinking the better of both.
+fn raised(c: ClassDeviation, held: &[Held], moved_m: f64) -> ClassDeviation {
+    match held.get(c.class.index()) {
+        Some(held) if held.sunk_m.is_finite() => ClassDeviation {
+            bound_m: c.bound_m.max(held.reach_m + moved_m),
+            sunk_m: c.sunk_m.min(held.sunk_m + moved_m),
+            ..c
+        },
+        _ => c,
     }
 }
 

@@ -30,6 +30,8 @@ pub struct MadeTile {
     pub bounds: Aabb,
     /// Certified two-sided distance to the source, metres: of a leaf, what the gate and rounding moved.
     pub geometry_m: f64,
+    /// Of it, what f32 vertices moved.
+    pub rounding_m: f64,
     /// Size of a texel, metres; 0 without texture.
     pub texel_m: f64,
     /// Size of a texel of what the tile was painted from; of a leaf its own.
@@ -289,6 +291,7 @@ impl Maker<'_> {
         MadeTile {
             bounds: Aabb::of(content.positions.iter().map(|p| origin + p.as_dvec3())),
             geometry_m: geometry_m + added_m,
+            rounding_m,
             texel_m,
             reference_texel_m: texel_m,
             triangles,

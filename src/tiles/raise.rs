@@ -1,36 +1,51 @@
-//! Raises simplified tiles where they are lower than a roof or a façade of the source.
+//! Raises simplified tiles until no roof and no façade of the source stands out of them.
 //!
-//! In: a tile's surface and the source below it. Out: how far each vertex has to rise; none sinks.
+//! In: a tile's surface and the source below it, part by part. Out: how far each vertex has to rise, and what holds then.
 //!
 //! # Method
-//! Every source face of a kept class is held against the tile triangle that is least below it, within reach; where it is
-//! more than the class's budget at scale 1 below, the triangle's vertices rise by the least that mends it. What has risen
-//! may then be nearest to something else: the caller asks again.
+//! Every point of a kept class is to have a point of the tile that is sideways within reach and no lower than its limit
+//! allows. One tile triangle settles a whole source face: the highest points that it has within reach of the three corners
+//! span what stands for the rest. Where none does, the triangle that is highest within reach of each corner rises by what
+//! it lacks; then the parts of the face are looked at.
+//!
+//! Vertices move straight up, so what is within reach sideways stays so and what is high enough stays high enough: each
+//! face is looked at once, and no other can undo it. Held to the nearest point in space, as before, a rise changed what
+//! was nearest, and five rounds ended a metre short.
 //!
 //! # Promises
-//! A vertex moves up only, so it stays on its wall (`a_flattened_roof_rises_to_its_ridge`). That nothing sinks deeper is
-//! not asserted here: `signed` certifies each tile afterwards, and the build warns where it cannot.
+//! - Every point of the kept classes has a point of the tile no further sideways than [`Held::reach_m`] and no more than
+//!   [`Held::sunk_m`] lower (`every_point_of_a_roof_is_held_up`).
+//! - A vertex moves up only, so it stays on its wall, and a wall may rise more (`a_flattened_roof_rises_to_its_ridge`).
 //!
 //! # Limits
-//! Budgets are not reached everywhere: on the demo quarter the two finest simplified levels end 0.07 to 0.13 m low, the root
-//! 0.5 (roofs) to 1.1 m (façades). A lost chimney lifts the roof around it, and two-sided errors grow. Clutter (trees, masts, cranes) is not kept.
+//! A lost chimney lifts the roof around it, and two-sided errors grow. Clutter (trees, masts, cranes) is not kept.
 
-use glam::DVec3;
+use glam::{DVec2, DVec3};
 
-use super::error::{Corner, Surface, closest};
+use super::error::{Corner, Surface, closest, cover_radius};
 use super::levels::TileMesh;
-use super::signed::{quarter, within};
-use crate::geo::bvh::{Bvh, closest_on_triangle};
+use super::signed::quarter;
+use crate::geo::bvh::Bvh;
 use crate::ids::{ClassId, ClassScheme};
 
 /// What is kept.
 const KEPT: [ClassId; 2] = [ClassId::FACADE, ClassId::ROOF];
-/// So much of the budget is used: the certificate has a tolerance of its own.
+/// So much of the budget is used: what rounding moves comes on top.
 const USED_SHARE: f64 = 0.85;
-/// Source faces are quartered at most this often.
-const DEEPEST: u32 = 4;
+/// Source faces for which no one triangle of the tile stands are quartered, at most this often, until they are no higher
+/// than this share of the limit and no wider than this share of the reach.
+const DEEPEST: u32 = 8;
+const APART_HEIGHT_SHARE: f64 = 0.5;
+const APART_REACH_SHARE: f64 = 0.1;
+/// Looked at is what is sideways within so many times the distance that the class has moved anyway. With once an eave
+/// that lies in by a little is mended by its wall's foot, which rises by metres; with more, what is told is worth less.
+const REACH: f64 = 3.0;
+/// Looked at is what is as near as this at least.
+const LEAST_REACH_M: f64 = 1e-3;
+/// Places are within reach if they are by this share: what is told of them holds after rounding.
+const WITHIN: f64 = 1.0 - 1e-9;
 
-/// How deep a source of each class may be above its tile, metres; infinite for classes that are not kept.
+/// How much lower than a source of each class its tile may be, metres; infinite for classes that are not kept.
 pub fn limits_m(scheme: &ClassScheme) -> Vec<f64> {
     let mut limits_m = vec![f64::INFINITY; scheme.len()];
     for class in KEPT {
@@ -39,127 +54,211 @@ pub fn limits_m(scheme: &ClassScheme) -> Vec<f64> {
     limits_m
 }
 
-/// How far each vertex of a tile has to rise; see the module.
+/// What holds of a class once a tile has risen.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Held {
+    /// How far sideways it was looked for, metres.
+    pub reach_m: f64,
+    /// No point of the source is more than this above the tile there, metres; negative infinity if there is none.
+    pub sunk_m: f64,
+}
+
+/// A tile on its way up; see the module.
 pub struct Rises<'a> {
-    lift: Lift<'a>,
+    mesh: &'a TileMesh,
+    /// Of the surface as it was: boxes keep their plan.
     tree: Bvh,
     limits_m: &'a [f64],
+    /// Vertices as they have risen so far.
+    risen: Vec<DVec3>,
+    held: Vec<Held>,
+    /// By class how far sideways is looked, metres.
+    reach_m: Vec<f64>,
+    /// Triangle that stood for a face lately: it mostly stands for the next.
+    last: u32,
 }
 
 impl<'a> Rises<'a> {
     /// Of a tile that nothing was held against yet.
     pub fn of(mesh: &'a TileMesh, limits_m: &'a [f64]) -> Self {
-        let to = Surface { positions: &mesh.positions, faces: &mesh.faces, labels: &mesh.labels };
-        let lift = Lift { to, rises: vec![0.0f64; mesh.positions.len()], reach_m: vec![1e-3; limits_m.len()] };
-        Self { lift, tree: Bvh::new(&mesh.positions, &mesh.faces), limits_m }
+        Self {
+            mesh,
+            tree: Bvh::new(&mesh.positions, &mesh.faces),
+            limits_m,
+            risen: mesh.positions.clone(),
+            held: vec![Held { reach_m: LEAST_REACH_M, sunk_m: f64::NEG_INFINITY }; limits_m.len()],
+            reach_m: vec![LEAST_REACH_M; limits_m.len()],
+            last: 0,
+        }
     }
 
-    /// By vertex, metres; none is negative.
-    pub fn into_metres(self) -> Vec<f64> {
-        self.lift.rises
+    /// By vertex, metres, none negative; and by class what holds then.
+    pub fn finish(self) -> (Vec<f64>, Vec<Held>) {
+        (self.risen.iter().zip(&self.mesh.positions).map(|(risen, p)| risen.z - p.z).collect(), self.held)
     }
 
     /// Holds a part of the source against the tile: triangles with their classes.
     pub fn hold(&mut self, source: impl Iterator<Item = ([DVec3; 3], ClassId)>) {
-        let Self { lift, tree, limits_m } = self;
-        let to = lift.to;
+        let to = Surface { positions: &self.mesh.positions, faces: &self.mesh.faces, labels: &self.mesh.labels };
+        if to.faces.is_empty() {
+            return;
+        }
+        let kept = source.filter(|(_, class)| self.limits_m[class.index()].is_finite());
         let mut near = None;
-        let mut found = |triangle: [DVec3; 3]| {
-            triangle.map(|at| {
-                let corner = Corner { at, hit: closest(at, near, to, tree) };
-                near = Some(corner.hit.face);
-                corner
-            })
+        let corner = |at: DVec3, near: &mut Option<u32>| {
+            let hit = closest(at, *near, to, &self.tree);
+            *near = Some(hit.face);
+            Corner { at, hit }
         };
-        let kept = source.filter(|(_, class)| limits_m[class.index()].is_finite());
-        let held: Vec<([Corner; 3], ClassId)> = kept.map(|(triangle, class)| (found(triangle), class)).collect();
-        // No point of the tile further away than this may stand for one of the source: the certificate asks the same.
-        for (corners, class) in &held {
-            let reach_m = &mut lift.reach_m[class.index()];
-            *reach_m = corners.iter().map(|c| c.hit.distance).fold(*reach_m, f64::max);
+        let found: Vec<([Corner; 3], ClassId)> =
+            kept.map(|(triangle, class)| (triangle.map(|at| corner(at, &mut near)), class)).collect();
+        for (corners, class) in &found {
+            let reach_m = &mut self.reach_m[class.index()];
+            *reach_m = corners.iter().map(|c| REACH * c.hit.distance).fold(*reach_m, f64::max);
         }
         let mut stack = Vec::new();
-        for (corners, class) in held {
-            let (limit_m, reach_m) = (limits_m[class.index()], lift.reach_m[class.index()]);
-            if corners[0].hit.face == u32::MAX {
-                continue;
-            }
+        for (corners, class) in found {
             stack.push((corners, 0));
             while let Some((corners, depth)) = stack.pop() {
-                let (mut below_m, mut face) = lift.least_below(&corners, reach_m);
-                if below_m <= limit_m {
-                    continue;
-                }
-                // Not the nearest perhaps, but one within reach that is high enough, or nearly.
-                for other in within(&corners, reach_m, tree) {
-                    let value_m = lift.value(&corners, other, reach_m);
-                    if value_m < below_m {
-                        (below_m, face) = (value_m, other);
-                    }
-                }
-                if below_m <= limit_m {
-                    continue;
-                }
-                if below_m.is_infinite() && depth < DEEPEST {
-                    quarter(&corners, to, tree).into_iter().for_each(|part| stack.push((part, depth + 1)));
-                } else {
-                    lift.raise(&corners, face, limit_m);
+                if !self.settle(&corners, class, depth == DEEPEST) {
+                    stack.extend(quarter(&corners, to, &self.tree).map(|part| (part, depth + 1)));
                 }
             }
         }
     }
-}
 
-/// A tile on its way up.
-struct Lift<'a> {
-    to: Surface<'a>,
-    /// So far, by vertex, metres.
-    rises: Vec<f64>,
-    /// By class.
-    reach_m: Vec<f64>,
-}
-
-impl Lift<'_> {
-    /// How much lower than a point its nearest on a tile triangle is after the rises so far, and that one's place in the
-    /// triangle.
-    fn below(&self, c: &Corner, face: u32) -> (f64, [f64; 3]) {
-        let vertices = self.to.faces[face as usize];
-        let triangle = vertices.map(|v| self.to.positions[v as usize]);
-        let at = if c.hit.face == face { c.hit.point } else { closest_on_triangle(c.at, &triangle) };
-        let shares = shares(&triangle, at);
-        let risen: f64 = (0..3).map(|k| shares[k] * self.rises[vertices[k] as usize]).sum();
-        (c.at.z - at.z - risen, shares)
+    /// Raises what stands for a face until it is high enough. False if parts of it need different triangles.
+    fn settle(&mut self, corners: &[Corner; 3], class: ClassId, at_last: bool) -> bool {
+        let reach_m = self.reach_m[class.index()];
+        let limit_m = self.limits_m[class.index()];
+        let lately = [self.last, corners[0].hit.face, corners[1].hit.face, corners[2].hit.face];
+        let mut best = self.best(corners, &lately, reach_m);
+        if best.0 > limit_m {
+            let around = self.around(corners, reach_m);
+            best = self.best(corners, &around, reach_m);
+            if best.0 > limit_m {
+                for c in corners {
+                    let (_, face) = self.best(&[*c; 3], &around, reach_m);
+                    self.raise(c.at, face, limit_m, reach_m);
+                }
+                best = self.best(corners, &around, reach_m);
+            }
+        }
+        if best.0 > limit_m {
+            let heights = corners.map(|c| c.at.z);
+            let extent_m = heights.into_iter().fold(f64::NEG_INFINITY, f64::max)
+                - heights.into_iter().fold(f64::INFINITY, f64::min);
+            let is_low = extent_m <= APART_HEIGHT_SHARE * limit_m;
+            let is_narrow = cover_radius(corners) <= APART_REACH_SHARE * reach_m;
+            if !(at_last || is_low && is_narrow) {
+                return false;
+            }
+            self.settle_apart(corners, class, limit_m - extent_m);
+            best.0 = limit_m;
+        }
+        let held = &mut self.held[class.index()];
+        *held = Held { reach_m: held.reach_m.max(reach_m), sunk_m: held.sunk_m.max(best.0) };
+        self.last = best.1;
+        true
     }
 
-    /// How much lower than all of the face one tile triangle is, and which; of those nearest to its corners the best
-    /// that all corners reach, or where there is none the one nearest to the first.
-    fn least_below(&self, corners: &[Corner; 3], reach_m: f64) -> (f64, u32) {
-        let each = corners.map(|c| (self.value(corners, c.hit.face, reach_m), c.hit.face));
-        let first = (f64::INFINITY, corners[0].hit.face);
-        each.into_iter().fold(first, |best, one| if one.0 < best.0 { one } else { best })
-    }
-
-    /// How much lower than all of the face one tile triangle is; infinite if a corner does not reach it.
-    fn value(&self, corners: &[Corner; 3], face: u32, reach_m: f64) -> f64 {
-        let triangle = self.to.faces[face as usize].map(|v| self.to.positions[v as usize]);
-        let reached = corners.iter().all(|e| (closest_on_triangle(e.at, &triangle) - e.at).length() <= reach_m);
-        let below = corners.iter().map(|e| self.below(e, face).0);
-        if reached { below.fold(f64::NEG_INFINITY, f64::max) } else { f64::INFINITY }
-    }
-
-    /// Raises the triangle by the least that brings it within the limit at each corner's nearest point.
-    fn raise(&mut self, corners: &[Corner; 3], face: u32, limit_m: f64) {
+    /// A small face whose corners different triangles stand for: each, high enough above its corner, does for all that is
+    /// nearest to that.
+    fn settle_apart(&mut self, corners: &[Corner; 3], class: ClassId, limit_m: f64) {
+        let reach_m = corners.iter().map(|c| c.hit.distance).fold(self.reach_m[class.index()], f64::max);
+        let around = self.around(corners, reach_m);
         for c in corners {
-            let (below_m, shares) = self.below(c, face);
-            let missing_m = below_m - limit_m;
-            let square: f64 = shares.iter().map(|s| s * s).sum();
-            if missing_m > 0.0 && square > 0.0 {
-                for (share, v) in shares.iter().zip(self.to.faces[face as usize]) {
-                    self.rises[v as usize] += missing_m * share / square;
-                }
+            let (_, face) = self.best(&[*c; 3], &around, reach_m);
+            self.raise(c.at, face, limit_m, reach_m);
+        }
+        let held = &mut self.held[class.index()].reach_m;
+        *held = held.max(reach_m + cover_radius(corners));
+    }
+
+    /// Tile triangles that may have points within reach of a face.
+    fn around(&self, corners: &[Corner; 3], reach_m: f64) -> Vec<u32> {
+        let low = corners.iter().map(|c| c.at).fold(DVec3::INFINITY, DVec3::min) - reach_m;
+        let high = corners.iter().map(|c| c.at).fold(DVec3::NEG_INFINITY, DVec3::max) + reach_m;
+        let mut around: Vec<u32> = corners.iter().map(|c| c.hit.face).collect();
+        let (low, high) = (low.with_z(f64::NEG_INFINITY), high.with_z(f64::INFINITY));
+        self.tree.overlapping(low, high, &mut |face| around.push(face));
+        around
+    }
+
+    /// Which of some tile triangles is lower than a face by least, and by how much; infinite if none is within reach.
+    fn best(&self, corners: &[Corner; 3], faces: &[u32], reach_m: f64) -> (f64, u32) {
+        faces.iter().fold((f64::INFINITY, faces[0]), |best, face| self.better(best, corners, *face, reach_m))
+    }
+
+    /// The better of what was found and a tile triangle: how much lower than all of the face it is within reach.
+    fn better(&self, best: (f64, u32), corners: &[Corner; 3], face: u32, reach_m: f64) -> (f64, u32) {
+        let triangle = self.triangle(face);
+        let mut below_m = f64::NEG_INFINITY;
+        for c in corners {
+            match highest(c.at, &triangle, reach_m) {
+                Some(q) => below_m = below_m.max(c.at.z - q.z),
+                None => return best,
+            }
+            if below_m >= best.0 {
+                return best;
+            }
+        }
+        (below_m, face)
+    }
+
+    fn triangle(&self, face: u32) -> [DVec3; 3] {
+        self.mesh.faces[face as usize].map(|v| self.risen[v as usize])
+    }
+
+    /// Raises a triangle by the least that brings its highest point within reach up to the limit below `p`.
+    fn raise(&mut self, p: DVec3, face: u32, limit_m: f64, reach_m: f64) {
+        let triangle = self.triangle(face);
+        let Some(q) = highest(p, &triangle, reach_m) else { return };
+        let missing_m = p.z - q.z - limit_m;
+        let shares = shares(&triangle, q);
+        let square: f64 = shares.iter().map(|s| s * s).sum();
+        if missing_m > 0.0 && square > 0.0 {
+            for (share, v) in shares.iter().zip(self.mesh.faces[face as usize]) {
+                self.risen[v as usize].z += missing_m * share / square;
             }
         }
     }
+}
+
+/// The highest point of a triangle that is sideways within reach of `p`, or `None`.
+fn highest(p: DVec3, triangle: &[DVec3; 3], reach_m: f64) -> Option<DVec3> {
+    let reach_m = reach_m * WITHIN;
+    let [a, b, c] = *triangle;
+    let mut best: Option<DVec3> = None;
+    let mut take = |q: DVec3| best = best.filter(|b| b.z >= q.z).or(Some(q));
+    // A height is linear over what is within reach of an edge, and over the triangle.
+    for (from, to) in [(a, b), (b, c), (c, a)] {
+        let (along, offset) = ((to - from).truncate(), (from - p).truncate());
+        let (square, dot) = (along.length_squared(), offset.dot(along));
+        let outside = offset.length_squared() - reach_m * reach_m;
+        let under_root = dot * dot - square * outside;
+        let (first, last) = if square > 0.0 && under_root >= 0.0 {
+            let root = under_root.sqrt();
+            (((-dot - root) / square).max(0.0), ((-dot + root) / square).min(1.0))
+        } else {
+            (0.0, if square > 0.0 || outside > 0.0 { -1.0 } else { 1.0 })
+        };
+        if first <= last {
+            take(from + (to - from) * if to.z > from.z { last } else { first });
+        }
+    }
+    let normal = (b - a).cross(c - a);
+    if normal.z != 0.0 {
+        let uphill = (-normal.truncate() / normal.z).try_normalize().unwrap_or(DVec2::ZERO);
+        let at = p.truncate() + uphill * reach_m;
+        let part = |q: DVec3, r: DVec3| (q.truncate() - at).perp_dot(r.truncate() - at) * normal.z.signum();
+        let parts = [part(b, c), part(c, a), part(a, b)];
+        let total: f64 = parts.iter().sum();
+        if total > 0.0 && parts.iter().all(|part| *part >= 0.0) {
+            take((a * parts[0] + b * parts[1] + c * parts[2]) / total);
+        }
+    }
+    best
 }
 
 /// Barycentric coordinates of a point of a triangle, none negative.
@@ -187,12 +286,15 @@ mod tests {
         let ridge = [[p(0.0, 0.0, 5.0), p(4.0, 0.0, 5.0), p(2.0, 2.0, 6.0)]];
         let mut rises = Rises::of(&mesh, &[0.25; 4]);
         rises.hold(ridge.into_iter().map(|t| (t, ClassId::ROOF)));
-        let rises = rises.into_metres();
+        let (rises, held) = rises.finish();
         assert!(rises.iter().all(|r| *r >= 0.0));
         let raised: Vec<DVec3> = mesh.positions.iter().zip(&rises).map(|(p, r)| *p + DVec3::Z * *r).collect();
-        // Straight below the ridge, on the diagonal.
-        let height = (raised[0].z + raised[2].z) / 2.0;
-        assert!((6.0 - height) <= 0.25 + 1e-9, "{height}");
+        let Held { reach_m, sunk_m } = held[ClassId::ROOF.index()];
+        assert!(sunk_m <= 0.25 && reach_m <= 3.3, "{sunk_m} {reach_m}");
+        let top = p(2.0, 2.0, 6.0);
+        let highest = mesh.faces.iter().filter_map(|f| highest(top, &f.map(|v| raised[v as usize]), reach_m));
+        let height = highest.map(|q| q.z).fold(0.0, f64::max);
+        assert!(6.0 - height <= 0.25 + 1e-6, "{height}");
         assert!(raised.iter().all(|p| p.z <= 6.5), "not much higher than it has to be: {raised:?}");
     }
 
@@ -207,6 +309,58 @@ mod tests {
         let source = [[p(1.0, 0.5, 5.2), p(2.0, 0.5, 5.2), p(2.0, 1.0, 5.2)]];
         let mut rises = Rises::of(&mesh, &[0.25; 4]);
         rises.hold(source.into_iter().map(|t| (t, ClassId::ROOF)));
-        assert_eq!(rises.into_metres(), [0.0; 3]);
+        assert_eq!(rises.finish().0, [0.0; 3]);
+    }
+
+    #[test]
+    fn every_point_of_a_roof_is_held_up() {
+        let p = DVec3::new;
+        // A gable roof with humps on it, of which the tile has two planes that lie in its valleys.
+        let roof = |x: f64| 5.0 - 0.05 * x.abs();
+        let row = |y: f64| [-4.8, 0.0, 4.8].map(|x| p(x, y, roof(x)));
+        let tile = TileMesh {
+            positions: [row(-4.8), row(4.8)].concat(),
+            faces: vec![[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]],
+            labels: vec![ClassId::ROOF; 4],
+        };
+        let at = |i: i32, j: i32| {
+            let (x, y) = (f64::from(i) * 0.4, f64::from(j) * 0.4);
+            p(x, y, roof(x) + 0.3 * (x * 1.7).sin().abs() * (y * 1.1).cos().abs())
+        };
+        let cells = (-12..12).flat_map(|i| (-12..12).map(move |j| (i, j)));
+        let source: Vec<[DVec3; 3]> = cells
+            .flat_map(|(i, j)| {
+                let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
+                [[a, b, c], [a, c, d]]
+            })
+            .collect();
+        let mut rises = Rises::of(&tile, &[0.01; 4]);
+        rises.hold(source.iter().map(|t| (*t, ClassId::ROOF)));
+        let (rises, held) = rises.finish();
+        assert!(rises.iter().any(|r| *r > 0.01) && rises.iter().all(|r| (0.0..0.7).contains(r)), "{rises:?}");
+        let raised: Vec<DVec3> = tile.positions.iter().zip(&rises).map(|(p, r)| *p + DVec3::Z * *r).collect();
+        let Held { reach_m, sunk_m } = held[ClassId::ROOF.index()];
+        assert!(sunk_m <= 0.01 && reach_m < 1.0, "{sunk_m} {reach_m}");
+        for [a, b, c] in source {
+            for q in [a, b, c, (a + b) / 2.0, (b + c) / 2.0, (a + b + c) / 3.0] {
+                let tops = tile.faces.iter().filter_map(|f| highest(q, &f.map(|v| raised[v as usize]), reach_m));
+                let top = tops.map(|t| t.z).fold(f64::NEG_INFINITY, f64::max);
+                assert!(q.z - top <= sunk_m + 1e-6, "{q} {top}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_highest_point_within_reach_is_found_on_edges_and_between_them() {
+        let p = DVec3::new;
+        let slope = [p(0.0, 0.0, 0.0), p(10.0, 0.0, 10.0), p(0.0, 10.0, 0.0)];
+        let height = |at: DVec3, reach_m: f64| highest(at, &slope, reach_m).map(|q| (q.z * 1e6).round() / 1e6);
+        assert_eq!(height(p(3.0, 3.0, -50.0), 1.0), Some(4.0), "uphill, inside");
+        assert_eq!(height(p(9.5, 0.0, 0.0), 2.0), Some(10.0), "a corner");
+        assert_eq!(height(p(3.0, -1.0, 0.0), 1.25), Some(3.75), "an edge");
+        assert_eq!(height(p(3.0, -2.0, 0.0), 1.25), None);
+        let wall = [p(0.0, 0.0, 0.0), p(4.0, 0.0, 0.0), p(2.0, 0.0, 6.0)];
+        let top = highest(p(1.5, 0.5, 0.0), &wall, 0.7).unwrap();
+        assert!((top.z - (1.5 + 0.24f64.sqrt()) * 3.0).abs() < 1e-6, "a wall has no plan: {top}");
     }
 }

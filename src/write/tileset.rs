@@ -37,7 +37,7 @@ pub struct ClassError {
     pub p99_m: f64,
     /// How far the tile sinks inside the true solid at most, along its normals; negative where it stays outside.
     pub inside_m: f64,
-    /// How much lower than the source it is at most; negative where it stays above.
+    /// How much lower than the source it is at most, within the bound sideways; negative where it stays above.
     pub sunk_m: f64,
 }
 
@@ -176,9 +176,12 @@ const MEASURES: [Measure; 8] = [
         "certified bound of how far the tile sinks inside the source along its normals, negative where it stays outside",
         |e| e.inside_m,
     ),
-    ("Sunk", "certified bound of how much lower than the source the tile is, negative where it stays above", |e| {
-        e.sunk_m
-    }),
+    (
+        "Sunk",
+        "certified bound of how much lower than the source the tile is, within its bound sideways; negative where it stays \
+         above",
+        |e| e.sunk_m,
+    ),
 ];
 
 fn tile_properties(entry: &TileEntry, prefixes: &[String]) -> BTreeMap<String, Value> {

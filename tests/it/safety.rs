@@ -69,11 +69,12 @@ fn budgets_and_bounds_of_every_class_hold_from_outside_for_all_tiles() {
     assert!(checked > 50, "{checked}");
 }
 
-/// True if the tile has a point within `reach_m` of `p` that is not lower than `floor_m`.
+/// True if the tile has a point sideways within `reach_m` of `p` that is not lower than `floor_m`.
 fn stands(town: &Town, n: usize, tree: &Bvh, p: DVec3, reach_m: f64, floor_m: f64) -> bool {
     let tile = &town.nodes[n].tile;
     let mut found = false;
-    tree.overlapping(p - reach_m, p + reach_m, &mut |f| {
+    let (low, high) = ((p - reach_m).with_z(floor_m), (p + reach_m).with_z(f64::INFINITY));
+    tree.overlapping(low, high, &mut |f| {
         let corners = tile.corners(f as usize);
         let mut above: Vec<DVec3> = Vec::new();
         for k in 0..3 {
@@ -86,7 +87,8 @@ fn stands(town: &Town, n: usize, tree: &Bvh, p: DVec3, reach_m: f64, floor_m: f6
             }
         }
         for i in 2..above.len() {
-            let part = [above[0], above[i - 1], above[i]];
+            let part = [above[0], above[i - 1], above[i]].map(|q| q.with_z(0.0));
+            let p = p.with_z(0.0);
             found |= (closest_on_triangle(p, &part) - p).length() <= reach_m;
         }
     });
@@ -126,22 +128,18 @@ fn no_tile_is_lower_than_its_source_by_more_than_it_states() {
 }
 
 #[test]
-fn in_flight_every_tile_that_sinks_below_its_budget_is_named() {
+fn in_flight_no_tile_sinks_below_its_budget() {
     let town = flight_town();
     let stated = |n: usize, name: &str| town.nodes[n].number(&format!("{name}Sunk")).expect("a number");
     assert_eq!(lower_than(town, stated), [""; 0], "lower than certified");
-    let numbers = || town.nodes.iter().flat_map(|n| ["roofSunk", "facadeSunk"].map(|id| n.number(id))).flatten();
-    let over = numbers().filter(|&sunk_m| sunk_m > 0.05).count();
-    let warned: u64 = town.run.json()["build"]["warnings"]
-        .as_array()
-        .into_iter()
-        .flatten()
-        .filter(|w| w["code"] == "sunken-tops")
-        .filter_map(|w| w["count"].as_u64())
-        .sum();
-    println!("{over} of {} numbers are above the budget, {warned} warnings", numbers().count());
-    assert_eq!(over as u64, warned, "a tile that sinks has to be named");
-    assert!(over * 2 < numbers().count(), "{over} of {}", numbers().count());
-    let worst = |t: &Town| t.nodes.iter().filter_map(|n| n.number("roofSunk")).fold(0.0, f64::max);
-    println!("roofs sink up to {:.3} m, without the preset {:.3} m", worst(town), worst(self::town()));
+    let deepest = |t: &Town| {
+        let numbers = t.nodes.iter().flat_map(|n| ["roofSunk", "facadeSunk"].map(|id| n.number(id)));
+        numbers.flatten().fold(0.0, f64::max)
+    };
+    println!("sinks up to {:.3} m, without the preset {:.3} m", deepest(town), deepest(self::town()));
+    assert!(deepest(town) <= 0.05, "{}", deepest(town));
+    let warnings = &town.run.json()["build"]["warnings"];
+    assert!(warnings.as_array().is_some_and(|w| w.iter().all(|w| w["code"] != "sunken-tops")), "{warnings}");
+    let widest = |t: &Town| t.nodes.iter().filter_map(|n| n.number("geometryError")).fold(0.0, f64::max);
+    assert!(widest(town) < 3.0 * widest(self::town()), "raised, not torn up: {}", widest(town));
 }

@@ -31,9 +31,9 @@ use crate::geo::bvh::closest_on_triangle;
 const PASSES: usize = 3;
 const SWEEPS: usize = 3;
 /// Pull towards the place before the refit, as a share of the weight of the points.
-const STAY: f64 = 0.05;
+const STAY: f64 = 0.005;
 /// A distance counts as at least this share of the mean: nearer points would decide alone.
-const LEAST_DISTANCE_SHARE: f64 = 0.25;
+const LEAST_DISTANCE_SHARE: f64 = 0.5;
 /// Weight of the pull along the surface on points beyond its rim, whose nearest spot is on an edge.
 const ALONG: f64 = 0.25;
 /// A vertex may turn a face by 60° in a sweep.

@@ -23,12 +23,15 @@
 //! squares; a limit of four times the root mean square (mean +3 to +30 %).
 //!
 //! # Cost
-//! To 10 % of 295 000 faces, processor time of the call over meshoptimizer's (0.27 s on a busy machine) in the same run:
-//! untracked 1.6, tracked with the sequence 2.8, refitted 4.8; CGAL's Lindstrom–Turk 20 to 27. From 0.25 to 3.03 million
-//! faces a face takes 1.23 times as long untracked (1.40 before), 1.10 tracked.
+//! To 10 % of 295 000 faces, processor time of all threads over meshoptimizer's (0.21 s on a busy machine) in the same run:
+//! untracked 1.6 to 1.9, tracked with the sequence 2.9 to 3.3, refitted 7.3 (8.0 when it was refitted once); CGAL's
+//! Lindstrom–Turk 20 to 27. From 0.25 to 3.03 million faces a face takes 1.23 times as long untracked (1.40 before), 1.10
+//! tracked.
 //! Peak of the whole process, bytes a face, of 3.0 and 0.3 million faces: 112 and 193, 169 and 240, 150 and 221. Of these
 //! the process itself takes 12 MB (43 of 0.3 million), and holes in the heap some 40 of the small mesh, for glibc hands
-//! nothing back below 32 MB. An input that has to stay (a texture is baked from it) is added.
+//! nothing back below 32 MB: with `MALLOC_MMAP_THRESHOLD_=131072` the small mesh with its record takes 205 in place of 269,
+//! at the same speed. Another allocator (mimalloc 0.1.52) took 90 more at the same speed. The peak there is not the collapse
+//! but the encoding of the record after it. An input that has to stay (a texture is baked from it) is added.
 //! Where the time goes: waiting for memory.
 //! What paid (untracked, meshoptimizer's = 1): forms about their own vertex, six numbers instead of ten, and edges and
 //! vertices ordered by counting (3.8 → 3.2); f32 for the forms that wait, so that a vertex is one line (→ 2.9, error the

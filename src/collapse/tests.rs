@@ -295,6 +295,18 @@ fn a_refitted_cut_keeps_the_number_of_faces_the_limits_and_the_upper_side() {
 }
 
 #[test]
+fn what_the_refit_gains_is_spent_at_a_given_scale() {
+    let mesh = terrain(40);
+    let classes = one_class(&mesh);
+    let faces = |refit| {
+        let target = Target::Scale(0.5);
+        simplify(&mesh, &classes, &SimplifyConfig { target, refit, ..SimplifyConfig::default() }).faces.len()
+    };
+    let (before, after) = (faces(false), faces(true));
+    assert!(after < before, "{before} to {after} faces");
+}
+
+#[test]
 fn no_edge_gets_a_third_face() {
     // Two sheets 5 cm apart, joined by tunnels, which cannot close without an edge of four faces.
     let mut mesh = terrain(24);

@@ -2,7 +2,7 @@
 //!
 //! Planes of current faces all meet in their vertex, so about the vertex itself their form has no linear and no constant
 //! part: a [`Form`] has six numbers where a [`Quadric`] has ten, and none of them is a small difference of large ones.
-//! Only planes that are not current (the baselines') and points (the refit's) need a [`Quadric`].
+//! Only planes that are not current (the baselines') need a [`Quadric`].
 
 use glam::{DVec3, Vec3};
 
@@ -103,6 +103,11 @@ impl Form {
     pub fn of_plane(n: DVec3, w: f64) -> Self {
         let (wx, wy) = (w * n.x, w * n.y);
         Self { xx: wx * n.x, xy: wx * n.y, xz: wx * n.z, yy: wy * n.y, yz: wy * n.z, zz: w * n.z * n.z }
+    }
+
+    /// The form w·x².
+    pub fn of_all(w: f64) -> Self {
+        Self { xx: w, yy: w, zz: w, ..Self::default() }
     }
 
     /// Half its gradient at `x`.

@@ -6,24 +6,33 @@
 //! 1. Vertices that are used are put in Morton order, so that a star lies together in memory, and onto the grid.
 //! 2. The whole mesh collapses as one block, see [`block`](super::block), in order of energy alone: a cut at any
 //!    number of faces or scale is a prefix of one sequence.
-//! 3. The cut is refitted, see [`refit`](super::refit).
+//! 3. The cut is refitted, see [`refit`](super::refit): once at 1.1 times the faces wanted, or at the scale wanted, from where
+//!    it collapses on, by energies of refitted faces and samples that know what the refit left; and at the end.
 //!
 //! # Numbers
-//! Two-sided mean over that of the best peer at equal faces (10, 5, 1 %), all budgets equal: a building 0.86, 0.82, 0.55
-//! (Lindstrom–Turk); a crossing 0.78, 0.68, 0.15; a campus 0.50, 0.51, 0.77 (meshoptimizer).
+//! Two-sided mean over that of the best peer at equal faces (10, 5, 1 %), all budgets equal: a building 0.80, 0.76, 0.51
+//! (Lindstrom–Turk); a house among trees 0.69, 0.63, 0.50; a crossing 0.74, 0.65, 0.14; a campus 0.45, 0.46, 0.71
+//! (meshoptimizer). Over our own [`Method::Plain`] at 10 %: 0.67, 0.68, 0.67, 0.60; the building needs 44 % fewer faces.
+//! Façades and roofs at 10 and 5 %, and the mean of all classes, with a quarter of the others' budget: the building 0.65
+//! and 0.62 (all: 0.98, 0.94), the house 0.39 and 0.36 (0.72, 0.66), the crossing 0.28 and 0.29, the campus 0.31 and 0.24;
+//! with a third of it the building's are 0.67 and 0.65 (0.92, 0.88). Key over plain at 10 %: 0.54, 0.36, 0.22, 0.27.
+//! To a given scale, collapsing on after the refit leaves 14 to 21 % fewer faces (building, campus; scale 2 and 20).
 //! What paid: folded faces that vanish in pairs (campus at 10 %: 5.0 → 1.45, and no stall); the true change of squared
-//! distance of samples beside the energy (largest distance halved); the refit (13 %); a limit that grows with the mean
+//! distance of samples beside the energy (largest distance halved); the refit (15 to 22 %); a limit that grows with the mean
 //! square (largest distance −40 %, mean unchanged); counting shared faces twice when ranking (time −15 %, error equal).
 //! What did not: quadrics that remember, once samples vote; area to the power 1.5 or 2; ranking by distance instead of
 //! squares; a limit of four times the root mean square (mean +3 to +30 %).
 //!
 //! # Cost
-//! To 10 % of 295 000 faces, processor time of the call over meshoptimizer's (0.27 s on a busy machine) in the same run:
-//! untracked 1.6, tracked with the sequence 2.8, refitted 4.8; CGAL's Lindstrom–Turk 20 to 27. From 0.25 to 3.03 million
-//! faces a face takes 1.23 times as long untracked (1.40 before), 1.10 tracked.
+//! To 10 % of 295 000 faces, processor time of all threads over meshoptimizer's (0.21 s on a busy machine) in the same run:
+//! untracked 1.6 to 1.9, tracked with the sequence 2.9 to 3.3, refitted 7.3 (8.0 when it was refitted once); CGAL's
+//! Lindstrom–Turk 20 to 27. From 0.25 to 3.03 million faces a face takes 1.23 times as long untracked (1.40 before), 1.10
+//! tracked.
 //! Peak of the whole process, bytes a face, of 3.0 and 0.3 million faces: 112 and 193, 169 and 240, 150 and 221. Of these
 //! the process itself takes 12 MB (43 of 0.3 million), and holes in the heap some 40 of the small mesh, for glibc hands
-//! nothing back below 32 MB. An input that has to stay (a texture is baked from it) is added.
+//! nothing back below 32 MB: with `MALLOC_MMAP_THRESHOLD_=131072` the small mesh with its record takes 205 in place of 269,
+//! at the same speed. Another allocator (mimalloc 0.1.52) took 90 more at the same speed. The peak there is not the collapse
+//! but the encoding of the record after it. An input that has to stay (a texture is baked from it) is added.
 //! Where the time goes: waiting for memory.
 //! What paid (untracked, meshoptimizer's = 1): forms about their own vertex, six numbers instead of ten, and edges and
 //! vertices ordered by counting (3.8 → 3.2); f32 for the forms that wait, so that a vertex is one line (→ 2.9, error the
@@ -52,6 +61,13 @@ use crate::mesh::{GRID_PER_M, Mesh};
 
 /// The limit starts at this share of the median edge: below it nothing collapses.
 const FIRST_LIMIT_EDGES: f64 = 0.25;
+/// Share of the area that the refit gives to vertices, as Simpson's rule does.
+const OF_VERTICES: f32 = 0.25;
+/// A cut is refitted first at so many times its number of faces, with so many passes, and collapses on from there.
+const FIRST_LEG: f64 = 1.1;
+const FIRST_PASSES: usize = 1;
+/// Passes of the refit at the end.
+const PASSES: usize = 2;
 
 /// Which energy orders the collapses.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -168,26 +184,67 @@ impl<'a> Job<'a> {
 
     fn run(mut self) -> Simplified {
         let refit = self.config.refit && self.config.method == Method::Semantic;
-        let block = self.block(refit || self.config.record);
+        let mut block = self.block(refit || self.config.record);
+        let rules = block.rules;
+        // A record tells one run.
+        let twice = refit && !self.config.record;
+        if twice {
+            block.rules.stop_faces = (FIRST_LEG * rules.stop_faces as f64) as usize;
+        }
         let mut done = block.collapse();
         self.omega = std::mem::take(&mut done.block.omega);
-        let mut cut = self.cut(&mut done);
-        let samples = std::mem::take(&mut done.block.samples);
+        let (mut cut, mut samples) = self.cut(&mut done, |f| f);
         if self.mesh.positions.is_empty() {
             self.mesh.positions = samples.iter().map(|s| s.point).collect();
         }
         if refit {
-            let mut points = self.points(samples, &cut.face_ids, cut.scale);
-            self.omega = Vec::new();
-            let source = refit::Source { positions: &self.mesh.positions, faces: &self.mesh.faces };
-            refit::refit(&mut cut.positions, &mut cut.faces, &mut points, source);
+            if twice {
+                self.refit(&mut cut, &mut samples, FIRST_PASSES);
+                (cut, samples) = self.collapse_on(cut, samples, rules);
+            }
+            self.refit(&mut cut, &mut samples, PASSES);
         }
+        drop(samples);
         if self.config.record {
             cut.sequence = Some(self.sequence(done));
         }
         cut.positions.iter_mut().for_each(|p| *p += self.origin);
         cut.face_ids.iter_mut().for_each(|f| *f = self.face_ids[*f as usize]);
         cut
+    }
+
+    /// Refits a cut; its samples end on the faces nearest to them.
+    fn refit(&self, cut: &mut Simplified, samples: &mut [Sample], passes: usize) {
+        let mut points = self.points(samples, cut.scale);
+        let source =
+            refit::Source { positions: &self.mesh.positions, faces: &self.mesh.faces, of_centers: 1.0 - OF_VERTICES };
+        refit::refit(&mut cut.positions, &mut cut.faces, &mut points, source, passes);
+        for (sample, point) in samples.iter_mut().zip(&points) {
+            (sample.face, sample.squared_m2) = (point.face, point.distance_m * point.distance_m);
+        }
+    }
+
+    /// Takes a refitted cut on to the end: energies are of its own faces, and samples vote with what the refit left.
+    fn collapse_on(&self, cut: Simplified, samples: Vec<Sample>, mut rules: Rules) -> (Simplified, Vec<Sample>) {
+        if let Limit::Growing { first, .. } = &mut rules.limit {
+            *first = cut.scale;
+        }
+        let Simplified { positions, faces, face_ids, .. } = cut;
+        let block = Block {
+            origin: self.origin,
+            vertex_ids: Vec::new(),
+            flags: border_flags(positions.len(), &faces),
+            positions,
+            faces,
+            omega: face_ids.iter().map(|&f| self.omega[f as usize]).collect(),
+            paper_weight: Vec::new(),
+            group: Vec::new(),
+            boxes: &[],
+            samples,
+            sample_classes: Vec::new(),
+            rules,
+        };
+        self.cut(&mut block.collapse(), |f| face_ids[f as usize])
     }
 
     fn rules(&self) -> Rules {
@@ -224,10 +281,7 @@ impl<'a> Job<'a> {
         let mean = self.budgets.iter().sum::<f64>() / self.budgets.len() as f64;
         let importance = |c: &ClassId| (mean / self.budgets[c.index()]).powi(2) as f32;
         let paper = self.config.method == Method::Paper;
-        let flags = border_of(self.mesh.positions.len(), &self.mesh.faces)
-            .into_iter()
-            .map(|b| if b { BORDER } else { 0 })
-            .collect();
+        let flags = border_flags(self.mesh.positions.len(), &self.mesh.faces);
         let (samples, sample_classes) = if self.tracked { self.samples() } else { Default::default() };
         let faces = if wanted { self.mesh.faces.clone() } else { std::mem::take(&mut self.mesh.faces) };
         let positions = if wanted && !self.tracked {
@@ -277,13 +331,17 @@ impl<'a> Job<'a> {
         (samples, classes)
     }
 
-    /// The surface that is left, about the origin, with the faces it has of the ordered mesh.
-    fn cut(&self, done: &mut Collapsed) -> Simplified {
+    /// The surface that is left, about the origin, with the faces that it has of the ordered mesh by `name`; and the
+    /// samples on its faces.
+    fn cut(&self, done: &mut Collapsed, name: impl Fn(u32) -> u32) -> (Simplified, Vec<Sample>) {
         let positions = std::mem::take(&mut done.block.positions);
         let faces = std::mem::take(&mut done.block.faces);
+        let mut samples = std::mem::take(&mut done.block.samples);
         let mut vertex = vec![NONE; positions.len()];
+        let mut place = vec![NONE; faces.len()];
         let mut cut = Simplified { scale: done.scale, ..Simplified::default() };
-        for (f, corners) in faces.iter().enumerate().filter(|(_, c)| c[0] != NONE) {
+        for (f, corners) in (0..).zip(&faces).filter(|(_, c)| c[0] != NONE) {
+            place[f as usize] = cut.faces.len() as u32;
             cut.faces.push(corners.map(|v| {
                 if vertex[v as usize] == NONE {
                     vertex[v as usize] = cut.positions.len() as u32;
@@ -291,25 +349,25 @@ impl<'a> Job<'a> {
                 }
                 vertex[v as usize]
             }));
-            cut.face_ids.push(f as u32);
-            cut.labels.push(self.labels[f]);
+            cut.face_ids.push(name(f));
+            cut.labels.push(self.labels[name(f) as usize]);
         }
-        cut
+        samples.iter_mut().for_each(|sample| sample.face = place[sample.face as usize]);
+        (cut, samples)
     }
 
-    /// Source vertices and centres of source faces, half of the area each, on faces of the cut.
-    fn points(&self, samples: Vec<Sample>, face_ids: &[u32], scale: f64) -> Vec<Point> {
-        let mut place = vec![NONE; self.mesh.faces.len()];
-        face_ids.iter().zip(0..).for_each(|(&f, i)| place[f as usize] = i);
+    /// Source vertices, a quarter of the area, and centres of source faces, the rest, on faces of the cut: exact for
+    /// squared distances from a plane.
+    fn points(&self, samples: &[Sample], scale: f64) -> Vec<Point> {
         let mut points = Vec::with_capacity(samples.len() + self.mesh.faces.len());
-        points.extend(samples.into_iter().map(|sample| {
+        points.extend(samples.iter().map(|sample| {
             let limit = (scale * f64::from(sample.budget_m)) as f32;
-            Point::new(0.5 * sample.weight, limit, place[sample.face as usize])
+            Point::new(OF_VERTICES * sample.weight, limit, sample.face)
         }));
         for (f, corners) in self.mesh.faces.iter().enumerate() {
             let area = 0.5 * self.mesh.cross(f).length() as f32;
             let near = points[corners[0] as usize].face;
-            points.push(Point::new(0.5 * area * self.omega[f], f32::INFINITY, near));
+            points.push(Point::new((1.0 - OF_VERTICES) * area * self.omega[f], f32::INFINITY, near));
         }
         points
     }
@@ -326,6 +384,10 @@ impl<'a> Job<'a> {
             log: CollapseLog { events, levels: done.levels, most_m: done.most_m, folded: done.folded },
         }
     }
+}
+
+fn border_flags(vertices: usize, faces: &[[u32; 3]]) -> Vec<u8> {
+    border_of(vertices, faces).into_iter().map(|b| if b { BORDER } else { 0 }).collect()
 }
 
 /// The mesh on the grid with the vertices that it uses in Morton order and its faces by their first vertex; and where

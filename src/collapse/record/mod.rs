@@ -28,11 +28,12 @@
 //!
 //! # Cost
 //! Bytes a source triangle, down to 1 % of the faces, 1/128 m grid (`--grid 0.01`), with classes and deviations, half-edge
-//! and placed freely: a building of 295 k faces (0.17 m between vertices) 2.78 and 3.83, a house of 749 k 2.77 and 3.75, a
-//! campus of 146 k (1.6 m: 200 steps) 3.43 and 5.01. Of the building's 41 bits of a half-edge split 16 say which vertex,
+//! and placed freely: a building of 295 k faces (0.17 m between vertices) 2.75 and 3.79, a house of 749 k 2.76 and 3.72, a
+//! campus of 146 k (1.6 m: 200 steps) 3.27 and 4.77. Of the building's 41 bits of a half-edge split 16 say which vertex,
 //! 15 where, 5 which faces go where, 4 how far off, 0.7 the energy; on the campus it is 25 bits where. Per second of one
 //! busy core: 0.33 M splits encoded, 0.6 M decoded (half-edge; 0.5 M placed freely), 86 M and more replayed by
-//! [`Progressive::at`], 8 M by [`Progressive::within`]. Encoding takes less memory than the collapse before it.
+//! [`Progressive::at`], 8 M by [`Progressive::within`]. Encoding needs less memory than
+//! the collapse before it, but where that left holes in the heap it is the peak (a building of 295 k: 78 and 70 MB).
 //! What paid in decoding (0.34 → 0.6 M/s in one run): stars of 32 splits told and fetched ahead, a vertex with its list in
 //! half a line and a face with its class in a quarter, points read once a split, probabilities in place and without
 //! branches. A third of the time left is in the coder's bits, a sixth in ordering stars.

@@ -132,6 +132,8 @@ fn the_builders_certificates_hold_and_a_sound_tileset_has_no_grave_fault() {
     let audit = run(&town().folder, None);
     let grave: Vec<_> = audit.faults.iter().filter(|f| f.group.is_grave()).collect();
     assert!(grave.is_empty(), "{grave:#?}");
+    let blurred: Vec<_> = audit.faults.iter().filter(|f| f.code == "texture-blurred").collect();
+    assert!(blurred.is_empty(), "{blurred:#?}");
     let measured: Vec<_> = audit.distances.iter().filter(|d| d.comparison.is_some()).collect();
     assert!(measured.len() >= 3 && audit.distances.iter().all(|d| d.verdict != Verdict::Unmeasured));
     let mut certificates = 0;
@@ -208,6 +210,8 @@ fn planted_faults_are_found_and_named() {
     wants(&audit, "content-outside-volume", &town.nodes[shrunk]);
     let crack = audit.seams.cracks.first().expect("a crack");
     assert!((0.03..0.06).contains(&crack.gap_m), "{crack:?}");
+    let named = [crack.tile, crack.neighbour].map(|tile| &town.nodes[tile].uri);
+    assert!(named.contains(&&cracked.uri), "{named:?} {}", cracked.uri);
     // The two frames have other origins: heights differ.
     assert!((DVec3::from_array(crack.local_m) - border).truncate().length() < 3.0, "{crack:?} {border}");
     assert_eq!(audit.seams.cracks.len(), audit.faults.iter().filter(|f| f.code == "crack").count());

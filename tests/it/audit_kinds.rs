@@ -320,7 +320,7 @@ fn the_figures_do_not_depend_on_the_memory_there_is() {
         let (Some(a_m), Some(b_m)) = (a.hausdorff, b.hausdorff) else { continue };
         assert!(a_m.lower_m <= b_m.upper_m && b_m.lower_m <= a_m.upper_m, "{a_m:?} {b_m:?}");
         let [one, other] = [of_a, of_b].map(|c| c.all.two_sided.as_ref().expect("distances").mean_m);
-        assert!((one / other - 1.0).abs() < 0.02, "{one} {other}");
+        assert!((one / other - 1.0).abs() < 0.05, "{one} {other}");
         compared += 1;
     }
     assert!(compared >= 3, "{compared}");
@@ -328,7 +328,7 @@ fn the_figures_do_not_depend_on_the_memory_there_is() {
 
 #[test]
 fn what_does_not_fit_into_memory_is_refused_with_the_numbers_and_nothing_is_guessed() {
-    let found = within(20_000_000, 10_000);
+    let found = within(12_000_000, 10_000);
     let whys: Vec<_> = found.distances.iter().filter_map(|d| d.why.as_deref()).collect();
     assert!(whys.iter().any(|why| why.contains("--memory")), "{whys:?}");
     let unmeasured = found.distances.iter().filter(|d| d.verdict == Verdict::Unmeasured);

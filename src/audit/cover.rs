@@ -6,6 +6,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
+use super::budget::Budget;
 use super::read::{FaceClasses, Refine, TileMesh, Tileset};
 use crate::classes::{self, ClassesConfig};
 use crate::geo::Aabb;
@@ -92,15 +93,14 @@ pub struct Loader<'a> {
     pub names: ClassNames,
     kept: VecDeque<(usize, Arc<Shown>)>,
     kept_faces: usize,
+    /// What may be loaded.
+    pub budget: Budget,
 }
 
-/// Faces kept at most: some 200 MB.
-const MOST_KEPT_FACES: usize = 2_000_000;
-
 impl<'a> Loader<'a> {
-    /// Has nothing loaded yet.
-    pub fn new(tileset: &'a Tileset) -> Self {
-        Self { tileset, names: ClassNames::default(), kept: VecDeque::new(), kept_faces: 0 }
+    /// Has nothing loaded yet; will keep as much as the budget says.
+    pub fn new(tileset: &'a Tileset, budget: Budget) -> Self {
+        Self { tileset, names: ClassNames::default(), kept: VecDeque::new(), kept_faces: 0, budget }
     }
 
     /// What tile `tile` shows. What cannot be read is left out, and marked.
@@ -127,7 +127,7 @@ impl<'a> Loader<'a> {
         let shown = Arc::new(shown);
         self.kept_faces += shown.surface.faces.len();
         self.kept.push_back((tile, Arc::clone(&shown)));
-        while self.kept_faces > MOST_KEPT_FACES && self.kept.len() > 1 {
+        while self.kept_faces > self.budget.kept_faces() && self.kept.len() > 1 {
             if let Some((_, old)) = self.kept.pop_front() {
                 self.kept_faces -= old.surface.faces.len();
             }

@@ -44,7 +44,7 @@ pub struct DistanceConfig {
     pub rounding_m: f64,
     /// Faces of a reference. Default: 50 million, minutes for one tile.
     pub most_reference_faces: usize,
-    /// Faces of a reference loaded at once. Default: 400 000, about 150 MB.
+    /// Faces of a reference loaded at once. Default: 250 000, about 100 MB.
     pub part_faces: usize,
     /// Faces of a reference without classes that our classifier is asked about. Default: 1.5 million; 0 is never.
     pub most_classified_faces: usize,
@@ -320,7 +320,14 @@ impl Job<'_> {
             one.why = Some("nothing of what it stands for can be read".into());
             return Ok(one);
         }
+        let most = loader.budget.measured_faces();
+        let needed = shown.surface.faces.len() + finer.largest();
+        if needed > most {
+            one.why = Some(format!("{needed} faces at once are more than the {most} that fit into --memory"));
+            return Ok(one);
+        }
         watch.begin(&shown, finer.all().aabb);
+        let finer = finer.within(most.saturating_sub(shown.surface.faces.len()));
         self.compare(loader, &shown, &finer, added_m, &mut one, watch)?;
         Ok(one)
     }
@@ -382,7 +389,15 @@ impl Job<'_> {
             watch.part(&reference);
             let own = &reference.surface;
             pieces.add(own, &mut |within| finer.around(loader, part, own, within));
+            if finer.is_too_large() {
+                let most = loader.budget.measured_faces();
+                one.why = Some(format!(
+                    "a part of what it stands for has more than {most} faces about it, and no more fit into --memory"
+                ));
+                return Ok(());
+            }
         }
+        self.original.map_or(Ok(()), Original::check)?;
         one.reference_area_m2 = pieces.area_m2();
         let (comparison, detail) = pieces.finish();
         let hausdorff = comparison.all.hausdorff;

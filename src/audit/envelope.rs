@@ -17,6 +17,8 @@
 //! # Limits
 //! Cells grow where a tile has more than [`MOST_CELLS`] of them; the row says how large the largest were.
 
+use std::collections::BTreeMap;
+
 use glam::DVec3;
 use serde::Serialize;
 
@@ -68,19 +70,39 @@ pub struct EnvelopeTile {
     pub lost_count: usize,
     /// How far around an obstacle its height was looked for, metres.
     pub reach_m: f64,
-    cell_m: f64,
-    by_class: Vec<(ClassId, Sinking)>,
 }
 
-/// Counts of heights.
+/// What sinks of a class: counts, whatever the number of tiles.
 #[derive(Debug, Clone, Default)]
 struct Sinking {
-    cells: u64,
-    uncovered: u64,
-    bins: Vec<u32>,
+    /// Of the largest cells.
+    cell_m: f64,
+    area_m2: f64,
+    uncovered_m2: f64,
+    /// Area by sinking.
+    bins_m2: Vec<f64>,
     most_m: f64,
-    erosion_m: Vec<f32>,
+    /// How many cells have the height so many times [`CELL_M`] away.
+    erosion: BTreeMap<u32, u64>,
+    lost: u64,
 }
+
+impl Sinking {
+    fn add(&mut self, other: &Self) {
+        self.cell_m = self.cell_m.max(other.cell_m);
+        self.area_m2 += other.area_m2;
+        self.uncovered_m2 += other.uncovered_m2;
+        self.bins_m2.resize(BINS, 0.0);
+        self.bins_m2.iter_mut().zip(&other.bins_m2).for_each(|(sum, m2)| *sum += m2);
+        self.most_m = self.most_m.max(other.most_m);
+        other.erosion.iter().for_each(|(away, cells)| *self.erosion.entry(*away).or_default() += cells);
+        self.lost += other.lost;
+    }
+}
+
+/// What sinks of all tiles, by level and class.
+#[derive(Debug, Clone, Default)]
+pub struct Sinkings(BTreeMap<(u32, ClassId), Sinking>);
 
 /// The tiles of a level, in all or of one class.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -209,8 +231,16 @@ impl Tops {
 }
 
 impl EnvelopeTile {
-    /// Compares what stands out of a tile with what stands out of its reference.
-    pub fn of(tile: usize, level: u32, shown: &Shown, reference: Tops, names: &ClassNames, safe_m: f64) -> Self {
+    /// Compares what stands out of a tile with what stands out of its reference; the heights go to `sums`.
+    pub fn of(
+        tile: usize,
+        level: u32,
+        shown: &Shown,
+        reference: Tops,
+        names: &ClassNames,
+        safe_m: f64,
+        sums: &mut Sinkings,
+    ) -> Self {
         let Tops { grid, top, class } = reference;
         let mut own = vec![f32::NEG_INFINITY; top.len()];
         grid.raise(&shown.surface, &mut own, &mut vec![ClassNames::UNKNOWN; top.len()]);
@@ -222,17 +252,19 @@ impl EnvelopeTile {
             rows.flat_map(move |y| columns.clone().map(move |x| y as usize * width + x as usize))
         };
         let highest = |at: usize, ring: i64| around(at, ring).map(|i| own[i]).fold(f32::NEG_INFINITY, f32::max);
-        let mut by_class = std::collections::BTreeMap::<ClassId, Sinking>::new();
+        let mut by_class = BTreeMap::<ClassId, Sinking>::new();
+        let cell_m2 = grid.cell_m * grid.cell_m;
         let mut sunk = vec![0.0f32; top.len()];
         let reach = ((safe_m / grid.cell_m).ceil() as i64).clamp(1, MOST_RINGS);
         let class_of = |at: usize| class[at];
         for at in (0..top.len()).filter(|&at| top[at] > f32::NEG_INFINITY) {
             let of_class = by_class.entry(class_of(at)).or_default();
-            of_class.bins.resize(BINS, 0);
-            of_class.cells += 1;
+            of_class.bins_m2.resize(BINS, 0.0);
+            of_class.cell_m = grid.cell_m;
+            of_class.area_m2 += cell_m2;
             let near = highest(at, 1);
             if near == f32::NEG_INFINITY {
-                of_class.uncovered += 1;
+                of_class.uncovered_m2 += cell_m2;
                 continue;
             }
             let sink_m = f64::from(top[at] - near).max(0.0);
@@ -240,11 +272,12 @@ impl EnvelopeTile {
                 sunk[at] = (top[at] - highest(at, reach)).max(0.0);
             }
             of_class.most_m = of_class.most_m.max(sink_m);
-            of_class.bins[((sink_m / BIN_M) as usize).min(BINS - 1)] += 1;
+            of_class.bins_m2[((sink_m / BIN_M) as usize).min(BINS - 1)] += cell_m2;
             let enough = top[at] - safe_m as f32;
             if own[at] < enough {
                 let ring = (1..=MOST_RINGS).find(|&ring| highest(at, ring) >= enough).unwrap_or(MOST_RINGS);
-                of_class.erosion_m.push((ring as f64 * grid.cell_m) as f32);
+                let away = (ring as f64 * grid.cell_m / CELL_M).round() as u32;
+                *of_class.erosion.entry(away).or_default() += 1;
             }
         }
         let mut lost = Vec::new();
@@ -267,6 +300,7 @@ impl EnvelopeTile {
                 }
             }
             let middle = |axis: usize, i: usize| grid.low[axis] + (i as f64 + 0.5) * grid.cell_m;
+            by_class.entry(class_of(worst)).or_default().lost += 1;
             lost.push(Lost {
                 sink_m: f64::from(worst_m),
                 area_m2: cells as f64 * grid.cell_m * grid.cell_m,
@@ -278,65 +312,56 @@ impl EnvelopeTile {
         let lost_count = lost.len();
         lost.truncate(MOST_LOST);
         let reach_m = reach as f64 * grid.cell_m;
-        Self { tile, level, lost, lost_count, reach_m, cell_m: grid.cell_m, by_class: by_class.into_iter().collect() }
+        by_class.iter().for_each(|(class, sinking)| sums.0.entry((level, *class)).or_default().add(sinking));
+        Self { tile, level, lost, lost_count, reach_m }
     }
 }
 
 /// One row for all and one for each class of each level.
-pub fn rows(tiles: &[EnvelopeTile], names: &ClassNames) -> Vec<EnvelopeRow> {
-    let mut keys: Vec<(u32, Option<ClassId>)> = Vec::new();
-    for tile in tiles {
-        keys.push((tile.level, None));
-        keys.extend(tile.by_class.iter().map(|(class, _)| (tile.level, Some(*class))));
-    }
-    keys.sort_unstable();
-    keys.dedup();
-    let rows = keys.into_iter().map(|(level, class)| {
-        let of_level: Vec<&EnvelopeTile> = tiles.iter().filter(|t| t.level == level).collect();
-        let parts: Vec<(f64, &Sinking)> = of_level
-            .iter()
-            .flat_map(|t| t.by_class.iter().map(|(c, s)| (t.cell_m, c, s)))
-            .filter(|(_, c, _)| class.is_none_or(|wanted| wanted == **c))
-            .map(|(cell_m, _, s)| (cell_m, s))
-            .collect();
-        let name = class.map_or("all".to_string(), |c| names.name(c).to_string());
-        let lost = of_level.iter().map(|t| match class {
-            None => t.lost_count as u64,
-            Some(_) => t.lost.iter().filter(|l| l.class == name).count() as u64,
-        });
-        row(level, name.clone(), &parts, lost.sum())
-    });
-    rows.collect()
+pub fn rows(sums: &Sinkings, names: &ClassNames) -> Vec<EnvelopeRow> {
+    let mut levels: Vec<u32> = sums.0.keys().map(|(level, _)| *level).collect();
+    levels.dedup();
+    let of_level = |level: u32| {
+        let of_classes = || sums.0.iter().filter(move |((own, _), _)| *own == level);
+        let mut all = Sinking::default();
+        of_classes().for_each(|(_, sinking)| all.add(sinking));
+        let first = row(level, "all".into(), &all);
+        let rest = of_classes().map(move |((_, class), sinking)| row(level, names.name(*class).into(), sinking));
+        std::iter::once(first).chain(rest).collect::<Vec<_>>()
+    };
+    levels.into_iter().flat_map(of_level).collect()
 }
 
-fn row(level: u32, class: String, parts: &[(f64, &Sinking)], obstacles_lost: u64) -> EnvelopeRow {
-    let area = |of: fn(&Sinking) -> u64| parts.iter().map(|(cell, s)| of(s) as f64 * cell * cell).sum::<f64>();
-    let covered = area(|s| s.cells - s.uncovered);
-    let most_m = parts.iter().map(|(_, s)| s.most_m).fold(0.0, f64::max);
+fn row(level: u32, class: String, of: &Sinking) -> EnvelopeRow {
+    let covered_m2 = of.area_m2 - of.uncovered_m2;
     let quantile = |q: f64| {
         let mut below = 0.0;
-        let mut bins = (0..BINS).filter(|&bin| {
-            below += parts.iter().map(|(cell, s)| f64::from(s.bins[bin]) * cell * cell).sum::<f64>();
-            below >= q * covered
+        let bin = of.bins_m2.iter().position(|m2| {
+            below += m2;
+            below >= q * covered_m2
         });
-        bins.next().map_or(0.0, |bin| ((bin + 1) as f64 * BIN_M).min(most_m))
+        bin.map_or(0.0, |bin| ((bin + 1) as f64 * BIN_M).min(of.most_m))
     };
-    let mut erosion: Vec<f32> = parts.iter().flat_map(|(_, s)| s.erosion_m.iter().copied()).collect();
-    erosion.sort_by(f32::total_cmp);
-    let p95 = erosion.get((erosion.len() as f64 * 0.95) as usize).or(erosion.last());
+    let eroded: u64 = of.erosion.values().sum();
+    let mut before = 0;
+    let p95 = of.erosion.iter().find(|(_, cells)| {
+        before += **cells;
+        before as f64 > eroded as f64 * 0.95
+    });
+    let metres = |away: Option<&u32>| away.map_or(0.0, |away| f64::from(*away) * CELL_M);
     let sink_le90_m = quantile(0.9);
     EnvelopeRow {
         level,
         class,
-        cell_m: parts.iter().map(|(cell, _)| *cell).fold(0.0, f64::max),
-        area_m2: area(|s| s.cells),
-        uncovered_m2: area(|s| s.uncovered),
+        cell_m: of.cell_m,
+        area_m2: of.area_m2,
+        uncovered_m2: of.uncovered_m2,
         sink_le90_m,
         sink_p999_m: quantile(0.999),
-        sink_max_m: most_m,
-        erosion_p95_m: p95.copied().map_or(0.0, f64::from),
-        erosion_max_m: erosion.last().copied().map_or(0.0, f64::from),
-        obstacles_lost,
+        sink_max_m: of.most_m,
+        erosion_p95_m: metres(p95.or(of.erosion.last_key_value()).map(|(away, _)| away)),
+        erosion_max_m: metres(of.erosion.last_key_value().map(|(away, _)| away)),
+        obstacles_lost: of.lost,
         annex_15_vertical_figure_met: ANNEX_15_M
             .iter()
             .filter(|(_, vertical_m, _)| sink_le90_m <= *vertical_m)
@@ -371,16 +396,25 @@ mod tests {
         tops
     }
 
+    /// A tile that stands for the square with the post.
+    fn found(tile: &Shown, safe_m: f64) -> (EnvelopeTile, Sinkings) {
+        let mut sums = Sinkings::default();
+        let reference = tops(&square(Some(3.0)));
+        let found = EnvelopeTile::of(0, 0, tile, reference, &ClassNames::default(), safe_m, &mut sums);
+        (found, sums)
+    }
+
     #[test]
     fn a_thin_post_that_is_gone_is_an_obstacle_lost() {
         let names = ClassNames::default();
-        let of = |tile: &Shown, safe_m| EnvelopeTile::of(0, 0, tile, tops(&square(Some(3.0))), &names, safe_m);
-        let found = of(&square(None), 1.0);
+        let of = |tile: &Shown, safe_m| found(tile, safe_m).0;
+        let (found, sums) = found(&square(None), 1.0);
         assert_eq!(found.lost_count, 1);
         assert!((found.lost[0].sink_m - 3.0).abs() < 1e-6, "{:?}", found.lost);
         assert_eq!(of(&square(None), 3.5).lost_count, 0);
         assert_eq!(of(&square(Some(2.5)), 1.0).lost_count, 0);
-        let rows = rows(&[found], &names);
+        let rows = rows(&sums, &names);
+        assert_eq!(rows.iter().map(|row| row.obstacles_lost).collect::<Vec<_>>(), [1, 1], "all, and its class");
         assert!(rows[0].sink_le90_m <= 0.01 && (rows[0].sink_max_m - 3.0).abs() < 1e-6, "{rows:?}");
         assert_eq!(rows[0].annex_15_vertical_figure_met.len(), 4, "90 % of the area is right: a yardstick only");
         assert!((rows[0].erosion_max_m - 5.0).abs() < 1e-6, "nowhere near is anything as high");
@@ -390,9 +424,9 @@ mod tests {
     fn a_post_moved_by_a_cell_is_eroded_and_not_lost() {
         let mut moved = square(Some(3.0));
         moved.surface.positions[4..].iter_mut().for_each(|p| p.x += 0.25);
-        let found = EnvelopeTile::of(0, 0, &moved, tops(&square(Some(3.0))), &ClassNames::default(), 1.0);
+        let (found, sums) = found(&moved, 1.0);
         assert_eq!(found.lost_count, 0);
-        let rows = rows(&[found], &ClassNames::default());
+        let rows = rows(&sums, &ClassNames::default());
         assert!((rows[0].erosion_max_m - 0.25).abs() < 1e-6, "{rows:?}");
     }
 }

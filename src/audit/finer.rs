@@ -3,14 +3,16 @@
 //! In: the finest tiles below a tile, or the original in its box. Out: [`Finer`], whose parts are loaded one by one, each
 //! alone or with all that touches a box about it.
 
+use std::cell::Cell;
+
 use super::cover::{ClassNames, Loader, Shown};
 use super::source::Original;
 use crate::geo::Aabb;
 use crate::geo::bvh::Bvh;
 use crate::measure::{Surface, Whole};
 
-/// Faces of a part: some 150 MB with trees and figures. A tile with more is a part of its own.
-pub const PART_FACES: usize = 400_000;
+/// Faces of a part: some 100 MB with trees and figures. A tile with more is a part of its own.
+pub const PART_FACES: usize = 250_000;
 /// Halvings of the original's box at most.
 const MOST_HALVINGS: u32 = 20;
 
@@ -64,6 +66,10 @@ pub struct Finer<'a> {
     parts: Vec<Part>,
     of: Of<'a>,
     all: Known,
+    /// Faces that may be loaded at once.
+    most_faces: usize,
+    /// A part with all about it had more: what was measured is no good.
+    is_too_large: Cell<bool>,
 }
 
 struct Part {
@@ -79,20 +85,36 @@ enum Of<'a> {
 }
 
 impl<'a> Finer<'a> {
-    /// The tiles `tiles`, which lie in the order of the tree, so that neighbours come together.
+    /// The tiles `tiles`, halved until neighbours are together: parts that reach into one another are measured with what
+    /// is about them, which costs time and memory.
     pub fn tiles(tiles: &[usize], known: &'a [Known], part_faces: usize) -> Self {
+        let sum = |tiles: &[usize]| tiles.iter().fold(Known::NOTHING, |all, &tile| all.and(&known[tile]));
         let mut parts: Vec<Part> = Vec::new();
-        for &tile in tiles {
-            let own = &known[tile];
-            match parts.last_mut().filter(|part| part.known.faces + own.faces <= part_faces) {
-                Some(part) => {
-                    part.tiles.push(tile);
-                    part.known = part.known.and(own);
-                }
-                None => parts.push(Part { tiles: vec![tile], within: own.aabb, known: *own }),
+        let with_faces = tiles.iter().copied().filter(|&tile| known[tile].faces > 0).collect();
+        let mut open: Vec<Vec<usize>> = vec![with_faces];
+        while let Some(mut tiles) = open.pop() {
+            let own = sum(&tiles);
+            if own.faces <= part_faces || tiles.len() < 2 {
+                tiles.sort_unstable();
+                parts.push(Part { tiles, within: own.aabb, known: own });
+                continue;
             }
+            let middles = Aabb::of(tiles.iter().map(|&tile| known[tile].aabb.center()));
+            let size = middles.size();
+            let axis = (1..3).fold(0, |best, axis| if size[axis] > size[best] { axis } else { best });
+            let at = |tile: &usize| known[*tile].aabb.center()[axis];
+            tiles.sort_by(|a, b| at(a).total_cmp(&at(b)).then(a.cmp(b)));
+            let mut before = 0;
+            let is_before = |tile: &&usize| {
+                before += known[**tile].faces;
+                before <= own.faces / 2
+            };
+            let half = tiles.iter().take_while(is_before).count().clamp(1, tiles.len() - 1);
+            let rest = tiles.split_off(half);
+            open.extend([rest, tiles]);
         }
-        Self::of(parts, Of::Tiles(known))
+        let all = sum(tiles);
+        Self { parts, of: Of::Tiles(known), all, most_faces: usize::MAX, is_too_large: Cell::new(false) }
     }
 
     /// The original in `aabb`.
@@ -113,12 +135,24 @@ impl<'a> Finer<'a> {
             other.min[axis] = one.max[axis];
             open.extend([(other, halvings + 1), (one, halvings + 1)]);
         }
-        Self::of(parts, Of::Original(original))
+        let all = parts.iter().fold(Known::NOTHING, |all, part| all.and(&part.known));
+        let of = Of::Original(original);
+        Self { parts, of, all, most_faces: usize::MAX, is_too_large: Cell::new(false) }
     }
 
-    fn of(parts: Vec<Part>, of: Of<'a>) -> Self {
-        let all = parts.iter().fold(Known::NOTHING, |all, part| all.and(&part.known));
-        Self { parts, of, all }
+    /// No more than `most_faces` may be loaded at once.
+    pub fn within(self, most_faces: usize) -> Self {
+        Self { most_faces, ..self }
+    }
+
+    /// Faces of the largest part.
+    pub fn largest(&self) -> usize {
+        self.parts.iter().map(|part| part.known.faces).max().unwrap_or(0)
+    }
+
+    /// True if a part with all about it had more faces than may be loaded.
+    pub fn is_too_large(&self) -> bool {
+        self.is_too_large.get()
     }
 
     /// Number of parts.
@@ -164,6 +198,9 @@ impl<'a> Finer<'a> {
         let mut strip = Shown { aabb: Aabb::EMPTY, ..Shown::default() };
         match self.of {
             Of::Original(_) if self.parts.len() < 2 => return None,
+            Of::Original(original) if own.faces.len() + original.count(within) > self.most_faces => {
+                self.is_too_large.set(true);
+            }
             Of::Original(original) => {
                 // The part is in it too: what stands twice is no further away.
                 strip = original.part(within);
@@ -171,11 +208,15 @@ impl<'a> Finer<'a> {
             Of::Tiles(known) => {
                 let others = self.parts.iter().enumerate().filter(|(i, _)| *i != part).flat_map(|(_, p)| &p.tiles);
                 for &tile in others.filter(|&&tile| touches(&known[tile].aabb, &within)) {
+                    if own.faces.len() + strip.surface.faces.len() > self.most_faces {
+                        self.is_too_large.set(true);
+                        break;
+                    }
                     strip.add(&touching(&loader.load(tile), &within), ClassNames::UNKNOWN);
                 }
             }
         }
-        if strip.surface.faces.is_empty() {
+        if strip.surface.faces.is_empty() || self.is_too_large.get() {
             return None;
         }
         if self.all.is_classed {

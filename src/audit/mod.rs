@@ -17,9 +17,10 @@ use std::path::Path;
 use glam::DVec3;
 use serde::Serialize;
 
+use self::budget::Budget;
 use self::cover::{ClassNames, Cover, Loader, Shown};
 use self::distance::{DistanceConfig, TileDistance, Verdict, Watch};
-use self::envelope::{EnvelopeRow, EnvelopeTile, Tops};
+use self::envelope::{EnvelopeRow, EnvelopeTile, Sinkings, Tops};
 use self::findings::Fault;
 use self::gaps::Openings;
 use self::read::Tileset;
@@ -32,6 +33,8 @@ use crate::Result;
 use crate::geo::Aabb;
 use crate::report::{Reporter, Warning};
 
+pub mod budget;
+pub mod cells;
 pub mod cover;
 pub mod distance;
 pub mod envelope;
@@ -64,6 +67,8 @@ pub struct AuditConfig {
     pub obstacle_safe_m: Option<f64>,
     /// A route to fly: a GeoJSON file.
     pub route: Option<std::path::PathBuf>,
+    /// Memory to stay within; the figures do not depend on it.
+    pub budget: Budget,
 }
 
 /// What viewers load from over the middle of the dataset, by the errors as stated and by measured ones.
@@ -132,22 +137,25 @@ pub struct Audit {
 /// Those of [`read::open`], of the original's readers and of the route's; a wish to stop.
 pub fn audit(named: &Path, config: &AuditConfig, reporter: &Reporter) -> Result<Audit> {
     let stage = reporter.stage("read", 0);
-    let tileset = read::open(named)?;
+    let mut tileset = read::open(named)?;
+    tileset.most_content_bytes = config.budget.content_bytes();
     stage.finish(format!("{} tiles in {} tilesets", tileset.tiles.len(), tileset.files.len()));
     let stage = reporter.stage("structure", 0);
-    let structure = structure::measure(&tileset, &config.structure, reporter)?;
+    let limits = StructureConfig { budget: config.budget, ..config.structure.clone() };
+    let structure = structure::measure(&tileset, &limits, reporter)?;
     let triangles: u64 = structure.levels.iter().map(|l| l.sum.triangles).sum();
     stage.finish(format!("{triangles} triangles in {} levels", structure.levels.len()));
 
-    let mut loader = Loader::new(&tileset);
+    let mut loader = Loader::new(&tileset, config.budget);
     let finest = Cover::of(&tileset).finest(&tileset, 0);
     let finest_box = finest.iter().fold(Aabb::EMPTY, |aabb, &tile| aabb.union(loader.load(tile).aabb));
-    let original = config.original.as_ref().map(|o| Original::read(o, &tileset, finest_box, reporter)).transpose()?;
+    let read = |o: &OriginalConfig| Original::read(o, &tileset, finest_box, config.budget, reporter);
+    let original = config.original.as_ref().map(read).transpose()?;
     let mut watcher = Watcher::new(tileset.tiles.len(), config.obstacle_safe_m);
     let distances =
         distance::measure(&mut loader, &structure.tiles, original.as_ref(), &config.distance, reporter, &mut watcher)?;
-    let Watcher { borders, openings, envelope_tiles, .. } = watcher;
-    let textures = textures::measure(&tileset, &structure.tiles, reporter)?;
+    let Watcher { borders, openings, envelope_tiles, sinkings, .. } = watcher;
+    let textures = textures::measure(&tileset, &structure.tiles, config.budget, reporter)?;
     let stage = reporter.stage("seams", 0);
     let seams = seams::measure(&tileset, &borders, &config.seams);
     stage.finish(format!("{} cracks within levels", seams.cracks.len()));
@@ -177,7 +185,7 @@ pub fn audit(named: &Path, config: &AuditConfig, reporter: &Reporter) -> Result<
         distances,
         rows,
         seams,
-        envelope: envelope::rows(&envelope_tiles, &loader.names),
+        envelope: envelope::rows(&sinkings, &loader.names),
         envelope_tiles,
         openings,
         blurred: textures.blurred,
@@ -204,6 +212,7 @@ struct Watcher {
     borders: Vec<Border>,
     openings: Vec<(usize, Openings)>,
     envelope_tiles: Vec<EnvelopeTile>,
+    sinkings: Sinkings,
     look: Option<gaps::Look>,
     tops: Option<Tops>,
 }
@@ -215,6 +224,7 @@ impl Watcher {
             borders: vec![Border::default(); tiles],
             openings: Vec::new(),
             envelope_tiles: Vec::new(),
+            sinkings: Sinkings::default(),
             look: None,
             tops: None,
         }
@@ -243,7 +253,8 @@ impl Watch for Watcher {
             self.openings.push((one.tile, found));
         }
         if let (Some(safe_m), Some(tops)) = (self.obstacle_safe_m, tops) {
-            self.envelope_tiles.push(EnvelopeTile::of(one.tile, one.level, shown, tops, names, safe_m));
+            let found = EnvelopeTile::of(one.tile, one.level, shown, tops, names, safe_m, &mut self.sinkings);
+            self.envelope_tiles.push(found);
         }
     }
 }

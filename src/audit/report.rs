@@ -137,7 +137,9 @@ impl Audit {
         let mut value = json!(d);
         value["path"] = json!(self.tileset.trail(d.tile));
         value["size"] = json!(self.structure.tiles.get(d.tile));
-        if let Some(classes) = value["comparison"]["by_class"].as_array_mut() {
+        // Indexing would make an object of what is null.
+        let classes = value.get_mut("comparison").and_then(|c| c.get_mut("by_class"));
+        if let Some(classes) = classes.and_then(Value::as_array_mut) {
             for class in classes {
                 let id = class["class"].as_u64().map(|id| crate::ids::ClassId(id as u8));
                 class["class"] = json!(self.class_name(id));

@@ -6,7 +6,8 @@
 //! 1. an edge that one face only uses is border; vertices are joined where they are equal to the last bit
 //! 2. two tiles are neighbours if the boxes of their triangles touch; their seam is where these overlap
 //! 3. each border vertex in the seam (or between two that are) to the nearest border edge of the neighbour: the gap;
-//!    a vertex that meets one neighbour is not held against another
+//!    a vertex that meets one neighbour is not held against another, and where the neighbour's border is met by this
+//!    tile's all the same, it is the surface that is open and nothing was torn
 //!
 //! # Limits
 //! A vertex further than [`SeamConfig::reach_m`] from the neighbour's border has no partner and does not count: the
@@ -201,8 +202,9 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
     let found: Vec<([usize; 2], [Found; 2])> = pairs
         .into_par_iter()
         .map(|[a, b]| {
-            let one =
-                |a: usize, b: usize| gaps([&borders[a], &borders[b]], [&met[a], &met[b]], trees[b].as_ref(), config);
+            let one = |a: usize, b: usize| {
+                gaps([&borders[a], &borders[b]], [&met[a], &met[b]], [trees[a].as_ref(), trees[b].as_ref()], config)
+            };
             ([a, b], [one(a, b), one(b, a)])
         })
         .collect();
@@ -314,10 +316,15 @@ fn tree(border: &Border) -> Option<Bvh> {
     (!faces.is_empty()).then(|| Bvh::new(&border.points, &faces))
 }
 
-/// What the first border finds at the second, of which the tree is; both with what [`met`] says.
-fn gaps([of, other]: [&Border; 2], [met, other_met]: [&[bool]; 2], tree: Option<&Bvh>, config: &SeamConfig) -> Found {
+/// What the first border finds at the second; both with their trees and what [`met`] says.
+fn gaps(
+    [of, other]: [&Border; 2],
+    [met, other_met]: [&[bool]; 2],
+    trees: [Option<&Bvh>; 2],
+    config: &SeamConfig,
+) -> Found {
     let mut found = Found::default();
-    let Some(tree) = tree else { return found };
+    let [Some(own), Some(tree)] = trees else { return found };
     let mut zone = seam(&of.aabb, &other.aabb, THICKER_M);
     // Heights may differ by as much as what is looked for.
     zone.min.z -= config.reach_m;
@@ -337,11 +344,16 @@ fn gaps([of, other]: [&Border; 2], [met, other_met]: [&[bool]; 2], tree: Option<
         let p = of.points[own];
         counts[own] |= in_seam >= 2 && zone.contains(p, MOVED_M) && is_missed(p);
     }
-    let gap: Vec<Option<f64>> = (0..of.points.len())
-        .map(|v| counts[v].then(|| tree.closest(of.points[v], config.reach_m).map(|hit| hit.distance)).flatten())
-        .zip(met)
-        .map(|(gap, is_met)| gap.filter(|gap| *gap <= config.match_m || !is_met))
-        .collect();
+    let gap_at = |v: usize| {
+        let hit = tree.closest(of.points[v], config.reach_m)?;
+        if hit.distance <= config.match_m {
+            return Some(hit.distance);
+        }
+        // What the neighbour has there this tile has too: the surface itself is open and its border only ends at the seam.
+        let is_of_surface = || own.closest(hit.point, config.match_m).is_some();
+        (!met[v] && !is_of_surface()).then_some(hit.distance)
+    };
+    let gap: Vec<Option<f64>> = (0..of.points.len()).map(|v| counts[v].then(|| gap_at(v)).flatten()).collect();
     for (v, gap) in gap.iter().enumerate() {
         let Some(gap) = *gap else { continue };
         found.gaps.push(gap);
@@ -382,7 +394,9 @@ mod tests {
         let trees = [tree(a), tree(b)];
         let borders = [a, b].map(Border::clone);
         let met = met(&borders, &trees, &[[0, 1]], &config);
-        let one = |a: usize, b: usize| gaps([&borders[a], &borders[b]], [&met[a], &met[b]], trees[b].as_ref(), &config);
+        let one = |a: usize, b: usize| {
+            gaps([&borders[a], &borders[b]], [&met[a], &met[b]], [trees[a].as_ref(), trees[b].as_ref()], &config)
+        };
         [one(0, 1), one(1, 0)]
     }
 
@@ -412,6 +426,30 @@ mod tests {
         let [a, b] = between(&left, &right);
         assert_eq!((a.unmatched, b.unmatched), (0, 0));
         assert!(a.edges >= 2 && [a, b].iter().all(|f| f.worst.is_none_or(|(gap, _)| gap < 1e-9)));
+    }
+
+    #[test]
+    fn a_slit_whose_tip_lies_where_the_tiles_overlap_is_no_crack_either() {
+        let mut points = vec![DVec3::ZERO, DVec3::X, DVec3::new(1.0, 1.0, 0.0), DVec3::new(0.8, 1.01, 0.0)];
+        points.extend([DVec3::new(1.0, 1.02, 0.0), DVec3::new(1.0, 2.0, 0.0), DVec3::new(0.0, 2.0, 0.0)]);
+        let faces = vec![[0, 1, 3], [1, 2, 3], [3, 4, 5], [3, 5, 6], [0, 3, 6]];
+        let left = Surface { positions: points, faces, class: None };
+        let mut right = left.clone();
+        right.positions.iter_mut().for_each(|p| p.x = 2.0 - p.x);
+        right.positions[3].x = 1.5;
+        // Something above reaches over the left tile.
+        right.positions.extend([DVec3::new(0.7, 1.9, 5.0), DVec3::new(1.0, 1.9, 5.0), DVec3::new(1.0, 2.0, 5.0)]);
+        right.faces.push([7, 8, 9]);
+        let borders = |left: &Surface| [left, &right].map(|s| Border::of(s, Aabb::of(s.positions.iter().copied())));
+        let [a, b] = borders(&left);
+        let found = between(&a, &b);
+        assert!(found.iter().all(|f| f.unmatched == 0 && f.worst.is_none_or(|(gap, _)| gap < 1e-9)));
+        // A lip that was moved off the seam is a crack.
+        let mut torn = left;
+        torn.positions[4].z = 0.05;
+        let [a, b] = borders(&torn);
+        let gap = between(&a, &b)[0].worst.expect("a gap").0;
+        assert!((0.04..0.06).contains(&gap), "{gap}");
     }
 
     #[test]

@@ -5,13 +5,14 @@ use std::path::PathBuf;
 use glam::DVec3;
 use serde::Serialize;
 
+use super::budget::Budget;
+use super::cells::{Cells, Writer};
 use super::cover::Shown;
 use super::read::Tileset;
-use crate::geo::bvh::Bvh;
 use crate::geo::{Aabb, Frame, Georeference};
+use crate::input::discover::{Found, discover};
 use crate::input::{self, InputConfig, Source};
 use crate::measure::Surface;
-use crate::mesh::{GateConfig, Mesh, gate};
 use crate::report::Reporter;
 use crate::{Error, Result};
 
@@ -24,10 +25,9 @@ pub struct OriginalConfig {
     pub georeference: Option<Georeference>,
 }
 
-/// The original, ready to be cut.
+/// The original, ready to be cut: its triangles are on disk.
 pub struct Original {
-    mesh: Mesh,
-    bvh: Bvh,
+    cells: Cells,
     /// Tiles lie above one another: parts are cut from above and below too.
     is_stacked: bool,
     /// How it was brought into the tileset's frame.
@@ -39,7 +39,7 @@ pub struct Original {
 pub struct Placed {
     /// `globe` through Earth-centred coordinates; `same` coordinates; `centred`, as builds without a place on the Earth do.
     pub how: &'static str,
-    /// Triangles behind the gate.
+    /// Triangles with finite corners.
     pub triangles: usize,
     /// From the middle of the finest tiles' box to that of the original's, metres.
     pub shift_m: [f64; 3],
@@ -51,30 +51,56 @@ pub struct Placed {
 const SHIFT_M: f64 = 0.5;
 const SHIFT_REL: f64 = 0.005;
 
-/// Nothing is beyond, metres.
-const FAR: DVec3 = DVec3::splat(1e9);
-
 impl Original {
     /// Reads the original and brings it into the frame of `tileset`, whose finest tiles lie in `box_local`.
     ///
     /// Warns `source-shifted` where the two do not lie over each other.
     ///
     /// # Errors
-    /// Those of the readers and the gate; a place on the Earth that is not the tileset's.
-    pub fn read(config: &OriginalConfig, tileset: &Tileset, box_local: Aabb, reporter: &Reporter) -> Result<Self> {
-        let (mut source, found) = input::read(&config.inputs, &InputConfig::default(), reporter)?;
+    /// Those of the readers; [`Error::Limit`] for a file that does not fit into `budget`; a place on the Earth that is not
+    /// the tileset's.
+    pub fn read(
+        config: &OriginalConfig,
+        tileset: &Tileset,
+        box_local: Aabb,
+        budget: Budget,
+        reporter: &Reporter,
+    ) -> Result<Self> {
+        let stage = reporter.stage("source", 0);
+        let found = discover(&config.inputs, reporter)?;
         let georeference = match (&config.georeference, &found.metadata_xml, &found.odm_coords) {
             (Some(georeference), _, _) => georeference.clone(),
             (None, Some(path), _) => input::georeference::read_metadata_xml(path)?,
             (None, None, Some(path)) => input::georeference::read_odm(path)?,
             (None, None, None) => Georeference::Local,
         };
-        let how = place(&mut source, georeference, tileset, box_local)?;
-        let (mesh, _) = gate(source, &GateConfig::default(), reporter)?;
-        let bounds = Aabb::of(mesh.positions.iter().copied());
-        let shift = bounds.center() - box_local.center();
+        fits(&found, budget)?;
+        let mut writer = Writer::new()?;
+        let at_once = budget.original_bytes() / 4;
+        input::read_each(&found, &InputConfig::default(), at_once, reporter, |mut source| {
+            place(&mut source, &georeference, tileset)?;
+            for part in &source.parts {
+                for face in &part.faces {
+                    let corners = face.map(|v| part.positions[v as usize]);
+                    if corners.iter().all(|p| p.is_finite()) {
+                        writer.push(corners)?;
+                    }
+                }
+            }
+            Ok(())
+        })?;
+        let path = config.inputs.first().cloned().unwrap_or_default();
+        if writer.count == 0 {
+            return Err(Error::input(path, "has no surface to compare with"));
+        }
+        let (by, how) = match georeference {
+            Georeference::Local => centred(writer.aabb, box_local),
+            _ => (DVec3::ZERO, "globe"),
+        };
+        let cells = writer.finish(by)?;
+        let shift = cells.aabb.center() - box_local.center();
         let diagonal_m = box_local.size().length();
-        let placed = Placed { how, triangles: mesh.faces.len(), shift_m: shift.to_array(), diagonal_m };
+        let placed = Placed { how, triangles: cells.count, shift_m: shift.to_array(), diagonal_m };
         if shift.length() > SHIFT_M.max(SHIFT_REL * diagonal_m) {
             let what = format!(
                 "the original's middle is {:.2} m from that of the finest tiles (east {:.2}, north {:.2}, up {:.2}); \
@@ -84,19 +110,23 @@ impl Original {
                 shift.y,
                 shift.z
             );
-            let path = config.inputs.first().cloned().unwrap_or_default();
             reporter.warn("source-shifted", &path, what);
         }
-        let bvh = Bvh::new(&mesh.positions, &mesh.faces);
-        Ok(Self { mesh, bvh, is_stacked: is_stacked(tileset), placed })
+        stage.finish(format!("{} triangles, {how}", cells.count));
+        Ok(Self { cells, is_stacked: is_stacked(tileset), placed })
     }
 
-    /// Faces whose boxes touch `aabb`.
+    /// About how many faces [`Original::part`] cuts.
     pub fn count(&self, aabb: Aabb) -> usize {
-        let within = self.within(aabb);
-        let mut count = 0;
-        self.bvh.overlapping(within.min.max(-FAR), within.max.min(FAR), &mut |_| count += 1);
-        count
+        self.cells.about(&aabb)
+    }
+
+    /// What went wrong while parts were cut.
+    ///
+    /// # Errors
+    /// [`Error::Io`].
+    pub fn check(&self) -> Result<()> {
+        self.cells.check()
     }
 
     /// Tiles that do not lie above one another stand for what is there at any height.
@@ -112,13 +142,10 @@ impl Original {
     /// The part of the original within `aabb`; of tiles that do not lie above one another at any height.
     pub fn part(&self, aabb: Aabb) -> Shown {
         let within = self.within(aabb);
-        let mut faces = Vec::new();
-        self.bvh.overlapping(within.min.max(-FAR), within.max.min(FAR), &mut |f| faces.push(f));
-        faces.sort_unstable();
         let mut surface = Surface::default();
         let mut aabb = Aabb::EMPTY;
-        for f in faces {
-            let polygon = clipped(self.mesh.corners(f as usize), &within);
+        self.cells.visit(&within, &mut |corners| {
+            let polygon = clipped(corners, &within);
             let base = surface.positions.len() as u32;
             for k in 2..polygon.len() as u32 {
                 surface.faces.push([base, base + k - 1, base + k]);
@@ -127,28 +154,49 @@ impl Original {
                 polygon.iter().for_each(|&p| aabb.extend(p));
                 surface.positions.extend(polygon);
             }
-        }
+        });
         Shown { surface, aabb, refused: None }
     }
 }
 
-/// Brings positions into the tileset's frame, and says how.
-fn place(source: &mut Source, georeference: Georeference, tileset: &Tileset, box_local: Aabb) -> Result<&'static str> {
+/// Refuses files that would need more memory than there is, before they are read.
+fn fits(found: &Found, budget: Budget) -> Result<()> {
+    for path in &found.files {
+        let bytes = std::fs::metadata(path).map_or(0, |m| m.len());
+        if bytes > budget.original_bytes() {
+            let what = format!(
+                "has {} MB; files of an original may have {} MB with --memory {} MB: give four times the file's size or more, \
+                 or split it",
+                bytes / 1_000_000,
+                budget.original_bytes() / 1_000_000,
+                budget.0 / 1_000_000
+            );
+            return Err(Error::Limit { path: path.clone(), what });
+        }
+    }
+    Ok(())
+}
+
+/// What to move by, and what that is called: builds without a place on the Earth put the middle at (0, 0). What lies
+/// nearer is taken.
+fn centred(bounds: Aabb, box_local: Aabb) -> (DVec3, &'static str) {
+    let anchor = bounds.center().with_z(bounds.min.z).round();
+    let off = |by: DVec3| (bounds.center() - by - box_local.center()).length();
+    if off(anchor) < off(DVec3::ZERO) { (anchor, "centred") } else { (DVec3::ZERO, "same") }
+}
+
+/// Brings positions of a place on the Earth into the tileset's frame.
+fn place(source: &mut Source, georeference: &Georeference, tileset: &Tileset) -> Result<()> {
+    if let Georeference::Local = georeference {
+        return Ok(());
+    }
     let corners = source.parts.iter().flat_map(|p| p.faces.iter().flatten().map(|&v| p.positions[v as usize]));
     let bounds = Aabb::of(corners.filter(|p| p.is_finite()));
-    let path = source.parts.first().map(|p| p.path.clone()).unwrap_or_default();
     if bounds.is_empty() {
-        return Err(Error::input(path, "has no surface to compare with"));
+        return Ok(());
     }
-    if let Georeference::Local = georeference {
-        // Builds without a place on the Earth put the middle at (0, 0): take what lies nearer.
-        let anchor = bounds.center().with_z(bounds.min.z).round();
-        let off = |by: DVec3| (bounds.center() - by - box_local.center()).length();
-        let (by, how) = if off(anchor) < off(DVec3::ZERO) { (anchor, "centred") } else { (DVec3::ZERO, "same") };
-        source.parts.iter_mut().flat_map(|p| &mut p.positions).for_each(|p| *p -= by);
-        return Ok(how);
-    }
-    let frame = Frame::of(georeference, bounds.center().with_z(bounds.min.z).round())?;
+    let path = source.parts.first().map(|p| p.path.clone()).unwrap_or_default();
+    let frame = Frame::of(georeference.clone(), bounds.center().with_z(bounds.min.z).round())?;
     let Some(ecef_from_source_local) = frame.ecef_from_local().filter(|_| tileset.frame.origin.is_some()) else {
         let what = "the original has a place on the Earth and the tileset has none; give --source-crs local";
         return Err(Error::input(path, what));
@@ -158,7 +206,7 @@ fn place(source: &mut Source, georeference: Georeference, tileset: &Tileset, box
         frame.locals_from_sources(&part.path, &mut part.positions)?;
         part.positions.iter_mut().for_each(|p| *p = local_from_source_local.transform_point3(*p));
     }
-    Ok("globe")
+    Ok(())
 }
 
 /// True if two tiles of one parent lie one above the other.

@@ -12,11 +12,11 @@
 //! pixel covers `error / SSE_PX` metres. Below 1 the tile is seen blurred before it is replaced.
 //!
 //! # Promises
-//! The result does not depend on the number of threads; memory is that of one tile a thread.
+//! The result does not depend on the number of threads; as many tiles are loaded at once as the budget allows.
 
-use rayon::prelude::*;
 use serde::Serialize;
 
+use super::budget::Budget;
 use super::read::{Refine, TileMesh, Tileset, Volume};
 use crate::Result;
 use crate::report::Reporter;
@@ -39,6 +39,8 @@ pub struct StructureConfig {
     pub tile_texture_bytes: u64,
     /// A child's error may be larger than its parent's by this part. Default: 1e-6.
     pub error_slack: f64,
+    /// How many tiles are loaded at once.
+    pub budget: Budget,
 }
 
 impl Default for StructureConfig {
@@ -50,6 +52,7 @@ impl Default for StructureConfig {
             tile_draw_calls: 50,
             tile_texture_bytes: 128 << 20,
             error_slack: 1e-6,
+            budget: Budget::default(),
         }
     }
 }
@@ -191,12 +194,13 @@ pub struct Structure {
 /// # Errors
 /// [`crate::Error::Cancelled`].
 pub fn measure(tileset: &Tileset, config: &StructureConfig, reporter: &Reporter) -> Result<Structure> {
-    let load = |tile: usize| {
+    let load = |&tile: &usize| {
         reporter.check()?;
         let own = Reporter::new(true);
         Ok((figures(tileset, tile, &own), own.warnings()))
     };
-    let loaded: Vec<Result<_>> = (0..tileset.tiles.len()).into_par_iter().map(load).collect();
+    let all: Vec<usize> = (0..tileset.tiles.len()).collect();
+    let loaded: Vec<Result<_>> = config.budget.map(&all, |&tile| Budget::to_read(tileset.stored_bytes(tile)), load);
     let mut tiles = Vec::with_capacity(loaded.len());
     for result in loaded {
         let (figures, warnings) = result?;

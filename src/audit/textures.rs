@@ -16,9 +16,9 @@
 use std::collections::BTreeMap;
 
 use image::RgbImage;
-use rayon::prelude::*;
 use serde::Serialize;
 
+use super::budget::Budget;
 use super::cover::Cover;
 use super::read::{TileMesh, Tileset};
 use super::structure::TileFigures;
@@ -103,7 +103,7 @@ struct Profile {
 ///
 /// # Errors
 /// [`crate::Error::Cancelled`].
-pub fn measure(tileset: &Tileset, figures: &[TileFigures], reporter: &Reporter) -> Result<Textures> {
+pub fn measure(tileset: &Tileset, figures: &[TileFigures], budget: Budget, reporter: &Reporter) -> Result<Textures> {
     let cover = Cover::of(tileset);
     let mut by_level = BTreeMap::<(u32, bool), Vec<usize>>::new();
     for tile in (0..tileset.tiles.len()).filter(|&t| tileset.tiles[t].has_mesh()) {
@@ -114,13 +114,13 @@ pub fn measure(tileset: &Tileset, figures: &[TileFigures], reporter: &Reporter) 
         *tiles = tiles.iter().copied().step_by(step).collect();
     }
     let chosen: Vec<usize> = by_level.values().flatten().copied().collect();
-    let profiles: Result<Vec<Option<(usize, Profile)>>> = chosen
-        .into_par_iter()
-        .map(|tile| {
-            let figures = figures.get(tile).cloned().unwrap_or_default();
-            reporter.check().map(|()| Profile::of(tileset, tile, &figures).map(|profile| (tile, profile)))
-        })
-        .collect();
+    let pixels = |tile: usize| figures.get(tile).map_or(0, |f| f.texture_px);
+    let bytes = |&tile: &usize| Budget::to_see(pixels(tile)) + Budget::to_read(tileset.stored_bytes(tile));
+    let look = |&tile: &usize| {
+        let figures = figures.get(tile).cloned().unwrap_or_default();
+        reporter.check().map(|()| Profile::of(tileset, tile, &figures, budget).map(|profile| (tile, profile)))
+    };
+    let profiles: Result<Vec<Option<(usize, Profile)>>> = budget.map(&chosen, bytes, look).into_iter().collect();
     let profiles: BTreeMap<usize, Profile> = profiles?.into_iter().flatten().collect();
     let mut found = Textures::default();
     for ((level, has_finer), tiles) in by_level {
@@ -171,15 +171,14 @@ fn share_of_finer(tileset: &Tileset, cover: &Cover, all: &BTreeMap<usize, Profil
 }
 
 impl Profile {
-    fn of(tileset: &Tileset, tile: usize, figures: &TileFigures) -> Option<Self> {
+    fn of(tileset: &Tileset, tile: usize, figures: &TileFigures, budget: Budget) -> Option<Self> {
         let meshes = tileset.load(tile, &Reporter::new(true)).ok()?;
         let px = |t: &super::read::Texture| t.size_px.map_or(0, |[w, h]| u64::from(w) * u64::from(h));
         let images = meshes.iter().flat_map(|mesh| (0..mesh.textures.len()).map(move |texture| (mesh, texture)));
         let (mesh, texture) = images
-            .filter(|(mesh, texture)| (1..=MOST_PX).contains(&px(&mesh.textures[*texture])))
+            .filter(|(mesh, texture)| (1..=budget.seen_px().min(MOST_PX)).contains(&px(&mesh.textures[*texture])))
             .max_by_key(|(mesh, texture)| px(&mesh.textures[*texture]))?;
-        let picture = image::load_from_memory(&mesh.textures[texture].encoded).ok()?.to_rgb8();
-        let mut grey = Grey::of(&picture);
+        let mut grey = Grey::of(&decoded(&mesh.textures[texture].encoded)?);
         grey.mask(mesh, texture);
         Some(Self {
             squares: grey.squares()?,
@@ -201,6 +200,27 @@ impl Profile {
         let next = if part > 0.0 { *self.squares.get(low + 1)? } else { 0.0 };
         Some(self.squares.get(low)? * (1.0 - part) + next * part)
     }
+}
+
+/// The pixels of an image; `None` if it cannot be decoded.
+///
+/// JPEGs have a decoder of their own: that of [`image`] gives green stripes where one with halved colours comes in a scan
+/// for each of them, as encoders write it that fit their tables to the image.
+fn decoded(encoded: &[u8]) -> Option<RgbImage> {
+    if !encoded.starts_with(&[0xFF, 0xD8]) {
+        return image::load_from_memory(encoded).ok().map(image::DynamicImage::into_rgb8);
+    }
+    let mut decoder = jpeg_decoder::Decoder::new(encoded);
+    decoder.set_max_decoding_buffer_size(4 * MOST_PX as usize);
+    let pixels = decoder.decode().ok()?;
+    let info = decoder.info()?;
+    let rgb = match info.pixel_format {
+        jpeg_decoder::PixelFormat::RGB24 => pixels,
+        jpeg_decoder::PixelFormat::L8 => pixels.iter().flat_map(|&grey| [grey; 3]).collect(),
+        // Inks: nobody paints tiles with them.
+        _ => return None,
+    };
+    RgbImage::from_raw(info.width.into(), info.height.into(), rgb)
 }
 
 struct Grey {
@@ -331,6 +351,26 @@ mod tests {
         assert!(share(&well) > 0.9, "{}", share(&well));
         assert!(share(&badly) < LEAST_SHARE, "{}", share(&badly));
         assert_eq!(finer.at(100.0), None);
+    }
+
+    #[test]
+    fn a_jpeg_with_halved_colours_in_a_scan_each_is_decoded_as_it_was_painted() {
+        // Odd in blocks of 16.
+        let value = |x: u32, y: u32| 40 + 2 * (x / 3) + (y / 2) + noise(x / 8, y / 8, 1);
+        let picture = RgbImage::from_fn(120, 88, |x, y| image::Rgb([value(x, y).min(255) as u8, 120, 60]));
+        let mut bytes = Vec::new();
+        let mut encoder = jpeg_encoder::Encoder::new(&mut bytes, 95);
+        encoder.set_sampling_factor(jpeg_encoder::SamplingFactor::F_2_2);
+        encoder.set_optimized_huffman_tables(true);
+        encoder.encode(picture.as_raw(), 120, 88, jpeg_encoder::ColorType::Rgb).expect("a JPEG");
+        let back = decoded(&bytes).expect("pixels");
+        let off = back.as_raw().iter().zip(picture.as_raw()).map(|(a, b)| f64::from(a.abs_diff(*b)));
+        let mean = off.sum::<f64>() / picture.as_raw().len() as f64;
+        assert!(mean < 6.0, "{mean}");
+        let mut png = std::io::Cursor::new(Vec::new());
+        picture.write_to(&mut png, image::ImageFormat::Png).expect("a PNG");
+        assert_eq!(decoded(png.get_ref()).as_ref(), Some(&picture));
+        assert_eq!(decoded(&bytes[..40]), None);
     }
 
     #[test]

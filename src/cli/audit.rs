@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use super::{Outcome, print, print_json};
+use crate::audit::budget::Budget;
 use crate::audit::findings::Group;
 use crate::audit::rewrite::{self, Policy};
 use crate::audit::source::OriginalConfig;
@@ -10,6 +11,7 @@ use crate::audit::view::{self, Load};
 use crate::audit::{Audit, AuditConfig, Station, audit, page};
 use crate::geo::Georeference;
 use crate::report::Reporter;
+use crate::store::memory;
 use crate::{Error, Result};
 
 #[derive(clap::Args)]
@@ -47,6 +49,10 @@ pub struct Args {
     /// A route to fly (GeoJSON LineString): what viewers load on it.
     #[arg(long, value_name = "FILE")]
     route: Option<PathBuf>,
+    /// Memory to stay within, for instance 2GB or 4GiB; the figures do not depend on it. Default: a third of the
+    /// machine's.
+    #[arg(long, value_name = "BYTES")]
+    memory: Option<String>,
     /// End with exit code 1 if there are faults of these groups, separated by commas.
     #[arg(long, value_name = "GROUPS", value_delimiter = ',', value_parser = groups())]
     fail_on: Vec<String>,
@@ -140,6 +146,11 @@ fn config(args: &Args) -> Result<AuditConfig> {
     config.seams.match_m = config.seams.match_m.min(config.seams.crack_m);
     config.obstacle_safe_m = args.obstacle_safe.map(|m| above("--obstacle-safe", m, 0.01)).transpose()?;
     config.route = args.route.clone();
+    if let Some(text) = &args.memory {
+        let asked = memory::parse_bytes(text).filter(|&bytes| bytes >= Budget::LEAST_BYTES);
+        let wanted = || Error::Config(format!("--memory {text}: wanted at least 750MB, for instance 2GB or 4GiB"));
+        config.budget = Budget(asked.ok_or_else(wanted)?);
+    }
     if !args.source.is_empty() {
         let georeference = args.source_crs.as_deref().map(Georeference::parse).transpose()?;
         config.original = Some(OriginalConfig { inputs: args.source.clone(), georeference });

@@ -4,8 +4,8 @@
 //! 1. simplified faces are cut into pieces small against the parts; each belongs to the part whose box is nearest to its
 //!    middle, as do vertices and middles of faces
 //! 2. from a part to the simplified surface: as ever; that surface is held whole
-//! 3. back: a part's pieces are no further from the part than D, their corners' largest distance and their longest edge;
-//!    so the nearest point of the whole reference is found among the part and all that lies within D of those pieces
+//! 3. back: a piece is no further from the part than D, the least distance of a corner and its longest edge; so the
+//!    nearest point of the whole reference is found among the part and all that lies within D of each piece
 //! 4. samples are shared out by area, so that all together are spread evenly; certified bounds are raised part by part
 //!
 //! # Promises
@@ -227,16 +227,25 @@ fn pieces(surface: &Prepared, parts: &[Aabb]) -> Vec<[DVec3; 3]> {
     cut
 }
 
-/// A box that holds the nearest point of the reference for all that is owned, whose distances to `own` are bounds.
+/// A box that holds the nearest point of the reference for all that is owned, whose distances to `own` are bounds: each
+/// thing reaches as far as it may have to, so that one that lies far off does not widen the box on all sides.
 fn reach(from: &Prepared, owned: &Owned, own: &Prepared) -> Aabb {
-    let points = || from.points.iter().chain(&owned.points).chain(&owned.middles).copied();
-    let all: Vec<DVec3> = points().collect();
-    let far_m = own.nearest_of(&all).iter().map(|near| near.distance).fold(0.0, f64::max);
-    let longest = |[a, b, c]: &[DVec3; 3]| (*b - *a).length().max((*c - *b).length()).max((*a - *c).length());
-    let longest_m = owned.pieces.iter().map(longest).fold(0.0, f64::max);
-    let aabb = Aabb::of(all);
-    let by = DVec3::splat(far_m + longest_m);
-    Aabb { min: aabb.min - by, max: aabb.max + by }
+    let mut aabb = Aabb::EMPTY;
+    let corners = own.nearest_of(&from.points);
+    for face in &from.faces {
+        let [a, b, c] = face.map(|v| from.points[v as usize]);
+        let longest_m = (b - a).length().max((c - b).length()).max((a - c).length());
+        let far_m = face.iter().map(|&v| corners[v as usize].distance).fold(f64::INFINITY, f64::min);
+        let by = DVec3::splat(far_m + longest_m);
+        aabb = aabb.union(Aabb { min: a.min(b).min(c) - by, max: a.max(b).max(c) + by });
+    }
+    for points in [&owned.points, &owned.middles] {
+        for (p, near) in points.iter().zip(own.nearest_of(points)) {
+            let by = DVec3::splat(near.distance);
+            aabb = aabb.union(Aabb { min: *p - by, max: *p + by });
+        }
+    }
+    aabb
 }
 
 fn raise(known: &mut Vec<Option<Interval>>, found: Vec<Option<Interval>>) {

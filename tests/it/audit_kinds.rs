@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use glam::{DMat4, DVec3};
+use rooftile::audit::budget::Budget;
 use rooftile::audit::distance::{Against, Verdict};
 use rooftile::audit::rewrite::{Policy, rewrite};
 use rooftile::audit::source::OriginalConfig;
@@ -298,4 +299,64 @@ fn compressed_and_quantized_tiles_are_as_far_off_as_plain_ones() {
         assert!((x.lower_m - y.lower_m).abs() < 0.02, "{x:?} {y:?}");
         assert!(b.certificates.iter().all(|c| c.holds) && b.verdict != Verdict::Understated, "{b:?}");
     }
+}
+
+/// An audit of the town's tiles in parts of `part_faces`, within `bytes`.
+fn within(bytes: u64, part_faces: usize) -> Audit {
+    let mut config = AuditConfig { budget: Budget(bytes), obstacle_safe_m: Some(1.0), ..AuditConfig::default() };
+    config.distance.part_faces = part_faces;
+    audit(&town::town().folder, &config, &Reporter::new(true)).expect("an audit")
+}
+
+#[test]
+fn the_figures_do_not_depend_on_the_memory_there_is() {
+    let [little, plenty] = [Budget::LEAST_BYTES, 64_000_000_000].map(|bytes| within(bytes, 10_000));
+    assert!(little.json() == plenty.json());
+    // Parts of another size have other samples and the same surface.
+    let whole = within(Budget::LEAST_BYTES, 1_000_000);
+    let mut compared = 0;
+    for (a, b) in little.distances.iter().zip(&whole.distances) {
+        let (Some(of_a), Some(of_b)) = (&a.comparison, &b.comparison) else { continue };
+        let (Some(a_m), Some(b_m)) = (a.hausdorff, b.hausdorff) else { continue };
+        assert!(a_m.lower_m <= b_m.upper_m && b_m.lower_m <= a_m.upper_m, "{a_m:?} {b_m:?}");
+        let [one, other] = [of_a, of_b].map(|c| c.all.two_sided.as_ref().expect("distances").mean_m);
+        assert!((one / other - 1.0).abs() < 0.05, "{one} {other}");
+        compared += 1;
+    }
+    assert!(compared >= 3, "{compared}");
+}
+
+#[test]
+fn what_does_not_fit_into_memory_is_refused_with_the_numbers_and_nothing_is_guessed() {
+    let found = within(12_000_000, 10_000);
+    let whys: Vec<_> = found.distances.iter().filter_map(|d| d.why.as_deref()).collect();
+    assert!(whys.iter().any(|why| why.contains("--memory")), "{whys:?}");
+    let unmeasured = found.distances.iter().filter(|d| d.verdict == Verdict::Unmeasured);
+    assert!(unmeasured.clone().count() > 0 && unmeasured.into_iter().all(|d| d.hausdorff.is_none()));
+    assert!(found.faults.iter().any(|f| f.code == "tile-unmeasured" || f.code == "tile-unreadable"));
+    let temp = tempfile::tempdir().expect("a folder");
+    house(temp.path(), 2.0);
+    let path = original(temp.path(), DVec3::ZERO);
+    let config = AuditConfig {
+        original: Some(OriginalConfig { inputs: vec![path], georeference: None }),
+        budget: Budget(100),
+        ..AuditConfig::default()
+    };
+    let refused = audit(temp.path(), &config, &Reporter::new(true)).err().map(|e| e.to_string()).unwrap_or_default();
+    assert!(refused.contains("house.obj") && refused.contains("--memory"), "{refused}");
+    let folder = text(temp.path());
+    for memory in ["1MB", "many"] {
+        let run = rooftile(["audit", folder.as_str(), "--memory", memory]).wants(2);
+        assert!(run.stderr.contains("750MB"), "{}", run.stderr);
+    }
+    rooftile(["audit", folder.as_str(), "--memory", "1GB", "-q"]).wants(0);
+}
+
+#[test]
+fn a_finest_tile_has_no_comparison_in_the_json_either() {
+    let temp = tempfile::tempdir().expect("a folder");
+    house(temp.path(), 2.0);
+    let tiles = run(temp.path(), None).json()["tiles"].clone();
+    assert!(tiles[0]["comparison"]["all"]["two_sided"]["mean_m"].is_f64());
+    assert!(tiles[1]["comparison"].is_null(), "{}", tiles[1]["comparison"]);
 }

@@ -31,6 +31,13 @@ impl Archive {
         lock(&self.0).index_for_name(path).is_some()
     }
 
+    /// Size of the entry at `path`, unpacked as the archive says.
+    pub fn size(&self, path: &str) -> Option<u64> {
+        let mut archive = lock(&self.0);
+        let index = archive.index_for_name(path)?;
+        archive.by_index_raw(index).ok().map(|entry| entry.size())
+    }
+
     /// The entry at `path`, unpacked, and its size in the archive.
     pub fn read(&self, path: &str) -> Result<(Vec<u8>, u64), Refusal> {
         let (method, packed, bytes) = self.packed(path)?;

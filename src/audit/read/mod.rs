@@ -25,6 +25,7 @@ use serde_json::Value;
 
 pub use self::mesh::{FaceClasses, Part, Texture, TileMesh};
 pub use self::refusal::Refusal;
+pub(super) use self::store::lock;
 use self::store::{Address, Stores};
 pub use self::volume::Volume;
 use crate::geo::Geodetic;
@@ -190,6 +191,8 @@ pub struct Tileset {
     pub frame: LocalFrame,
     /// What was odd about the tree, counted by code.
     pub warnings: Vec<Warning>,
+    /// Contents that are larger as stored are refused, where that is known before they are fetched.
+    pub most_content_bytes: u64,
     stores: Stores,
 }
 
@@ -206,7 +209,7 @@ pub fn open(named: &Path) -> Result<Tileset> {
         return Err(Error::input(named, "has no tiles"));
     }
     let frame = LocalFrame::of(&tiles);
-    Ok(Tileset { tiles, files, frame, warnings: reporter.warnings(), stores })
+    Ok(Tileset { tiles, files, frame, warnings: reporter.warnings(), most_content_bytes: u64::MAX, stores })
 }
 
 impl Tileset {
@@ -236,6 +239,12 @@ impl Tileset {
             return Ok(Vec::new());
         }
         let Some(at) = &found.at else { return Err(Refusal::new("bad-uri", "its URI leads out of the tileset")) };
+        let bytes = self.stores.size(at).unwrap_or(0);
+        if bytes > self.most_content_bytes {
+            let (mb, most_mb) = (bytes / 1_000_000, self.most_content_bytes / 1_000_000);
+            let what = format!("has {mb} MB, and {most_mb} MB fit into --memory");
+            return Err(Refusal::new("too-large-for-memory", what));
+        }
         let fetched = self.stores.fetch(at)?;
         let job = mesh::Job {
             stores: &self.stores,
@@ -249,6 +258,12 @@ impl Tileset {
             first.bytes = fetched.stored_bytes;
         }
         Ok(meshes)
+    }
+
+    /// Bytes of a tile's contents as stored, as far as that is known without fetching them.
+    pub fn stored_bytes(&self, tile: usize) -> u64 {
+        let contents = self.tiles.get(tile).into_iter().flat_map(|tile| &tile.contents);
+        contents.filter_map(|content| self.stores.size(content.at.as_ref()?)).sum()
     }
 
     /// For people: the files and the way from the root to a tile, such as `tileset.json › 0/3 › a.b3dm`.

@@ -149,6 +149,16 @@ impl Stores {
         }
     }
 
+    /// Its size as stored, if that is known without fetching it.
+    pub fn size(&self, at: &Address) -> Option<u64> {
+        match self.stores.get(at.store)? {
+            Store::Folder(folder) => std::fs::metadata(inside(folder, &at.path).ok()?).ok().map(|m| m.len()),
+            Store::Archive(archive) => archive.size(&at.path),
+            #[cfg(feature = "http")]
+            Store::Server(_) => None,
+        }
+    }
+
     /// Opens the archive at `at` as a store of its own; returns where its tileset.json is.
     pub fn enter(&mut self, at: &Address) -> std::result::Result<Address, Refusal> {
         let Some(Store::Folder(folder)) = self.stores.get(at.store) else {

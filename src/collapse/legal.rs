@@ -3,7 +3,7 @@
 use glam::{DVec3, Vec3};
 
 use super::energy::Facet;
-use super::run::{Corner, Face, Mark, Run, Vertex};
+use super::run::{Around, Corner, Face, Mark, Run, Vertex};
 use crate::geo::bvh::closest_on_triangle;
 
 /// A face may turn by at most this much in one collapse (cosine): beyond it, it flips or becomes a sliver.
@@ -117,7 +117,8 @@ impl Run<'_> {
             let ids = face.corners;
             if between || self.folds(f) {
                 if from == u || !between {
-                    star.push(Corner { face: f, group, dies: true, ids, facet: Facet::default(), corners: [p; 3] });
+                    let (facet, around) = (Facet::default(), Around::default());
+                    star.push(Corner { face: f, group, dies: true, ids, facet, corners: [p; 3], around });
                 }
                 continue;
             }
@@ -127,7 +128,7 @@ impl Run<'_> {
             if turned || facet.area <= 0.0 || !self.stays(group, p) {
                 return false;
             }
-            star.push(Corner { face: f, group, dies: false, ids, facet, corners });
+            star.push(Corner { face: f, group, dies: false, ids, facet, corners, around: Around::of(corners) });
         }
         true
     }
@@ -156,12 +157,25 @@ impl Run<'_> {
     /// True if no new face spans open space: its middle, and those of its long sides, stay within its own budget of the
     /// star as it was. Samples hold the surface near the source; this holds it away from where the source is not, as far
     /// as one collapse can tell.
-    pub(super) fn spans_allow(&self) -> bool {
-        self.star.iter().filter(|c| !c.dies).all(|c| {
+    pub(super) fn spans_allow(&mut self) -> bool {
+        let mut old = std::mem::take(&mut self.old);
+        old.clear();
+        old.extend(self.star.iter().map(|c| self.corners(c.face)).map(|corners| (Around::of(corners), corners)));
+        let allowed = self.spans_stay(&old);
+        self.old = old;
+        allowed
+    }
+
+    /// The same, of the star as it was: `old`.
+    fn spans_stay(&self, old: &[(Around, [DVec3; 3])]) -> bool {
+        self.star.iter().zip(old).filter(|(c, _)| !c.dies).all(|(c, own)| {
             let limit_squared = self.scale * self.scale / f64::from(self.faces[c.face as usize].omega);
             let near = |p: DVec3| {
-                let squared = |old: &Corner| (closest_on_triangle(p, &self.corners(old.face)) - p).length_squared();
-                squared(c) <= limit_squared || self.star.iter().any(|old| squared(old) <= limit_squared)
+                let is_near = |(around, corners): &(Around, [DVec3; 3])| {
+                    around.squared_to(p) <= limit_squared
+                        && (closest_on_triangle(p, corners) - p).length_squared() <= limit_squared
+                };
+                is_near(own) || old.iter().any(is_near)
             };
             let [p, q, r] = c.corners;
             // The middle of a short side is near because its ends are.

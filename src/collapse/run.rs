@@ -102,6 +102,27 @@ pub(super) struct Corner {
     pub ids: [u32; 3],
     pub facet: Facet,
     pub corners: [DVec3; 3],
+    /// Around them.
+    pub around: Around,
+}
+
+/// A box: a test of it costs a fifth of one of the triangle in it.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Around {
+    low: DVec3,
+    high: DVec3,
+}
+
+impl Around {
+    pub fn of([a, b, c]: [DVec3; 3]) -> Self {
+        Self { low: a.min(b).min(c), high: a.max(b).max(c) }
+    }
+
+    /// No point of what is inside is nearer, m².
+    #[inline(always)]
+    pub fn squared_to(&self, p: DVec3) -> f64 {
+        (self.low - p).max(p - self.high).max(DVec3::ZERO).length_squared()
+    }
 }
 
 /// The running state behind [`Block::collapse`].
@@ -125,6 +146,8 @@ pub(super) struct Run<'a> {
     /// How many of them are of `u`.
     pub near_u: usize,
     pub star: Vec<Corner>,
+    /// The faces of `star` as they are.
+    pub old: Vec<(Around, [DVec3; 3])>,
     /// Faces that the collapse under test folds onto each other: one of v, one of u, and whether both point one way.
     pub pairs: Vec<(u32, u32, bool)>,
     /// Samples that the collapse under test moves.
@@ -198,6 +221,7 @@ impl<'a> Run<'a> {
             near: Vec::new(),
             near_u: 0,
             star: Vec::new(),
+            old: Vec::new(),
             pairs: Vec::new(),
             moved: Vec::new(),
             ring: Vec::new(),

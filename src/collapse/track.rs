@@ -68,45 +68,47 @@ pub(super) struct Move {
 impl Run<'_> {
     /// Finds the new face of every sample of the star, in the sample's own group, and the change of Σ weight · squared
     /// distance; none if one would be further from its group's surface than its limit.
+    ///
+    /// The first of every face is looked at, then the second, and so on, so that the waits for memory overlap; most
+    /// collapses are refused before all samples have been read.
     pub(super) fn samples_allow(&mut self) -> Option<f64> {
         let mut moved = std::mem::take(&mut self.moved);
-        self.list_riders(&mut moved);
-        let mut change = 0.0;
-        let scale_squared = self.scale * self.scale;
-        let allowed = moved.iter_mut().all(|step| {
-            let rider = &self.riders[step.rider as usize];
-            let (face, squared) = nearest(&self.star, step.to as usize, rider.point);
-            let budget = f64::from(rider.budget_m);
-            let limit_squared = scale_squared * budget * budget;
-            if squared > limit_squared {
-                return false;
-            }
-            change += f64::from(rider.weight) * (squared - f64::from(rider.squared_m2));
-            (step.to, step.squared_m2) = (face, squared);
-            true
-        });
-        self.moved = moved;
-        allowed.then_some(change)
-    }
-
-    /// Lists the samples of the star: the first of every face, then the second, and so on, so that the waits for memory
-    /// overlap.
-    fn list_riders(&self, moved: &mut Vec<Move>) {
         moved.clear();
         let first = |(i, corner): (usize, &Corner)| {
             let rider = self.rider_head[corner.face as usize];
             (rider != NONE).then_some(Move { rider, to: i as u32, squared_m2: 0.0 })
         };
         moved.extend(self.star.iter().enumerate().filter_map(first));
+        let mut change = 0.0;
+        let mut allowed = true;
         let mut at = 0;
-        while at < moved.len() {
-            let Move { rider, to, .. } = moved[at];
-            let next = self.riders[rider as usize].next;
-            if next != NONE {
-                moved.push(Move { rider: next, to, squared_m2: 0.0 });
+        while allowed && at < moved.len() {
+            let round = at..moved.len();
+            at = round.end;
+            for i in round.clone() {
+                let Move { rider, to, .. } = moved[i];
+                let next = self.riders[rider as usize].next;
+                if next != NONE {
+                    moved.push(Move { rider: next, to, squared_m2: 0.0 });
+                }
             }
-            at += 1;
+            allowed = moved[round].iter_mut().all(|step| {
+                let more = self.settle(step);
+                change += more.unwrap_or(0.0);
+                more.is_some()
+            });
         }
+        self.moved = moved;
+        allowed.then_some(change)
+    }
+
+    /// Finds a sample's new face, and the change of its weight · squared distance; none beyond its limit.
+    fn settle(&self, step: &mut Move) -> Option<f64> {
+        let rider = &self.riders[step.rider as usize];
+        let (face, squared) = nearest(&self.star, step.to as usize, rider.point);
+        let limit = self.scale * f64::from(rider.budget_m);
+        (step.to, step.squared_m2) = (face, squared);
+        (squared <= limit * limit).then(|| f64::from(rider.weight) * (squared - f64::from(rider.squared_m2)))
     }
 
     /// Puts the samples onto the faces that `samples_allow` found.
@@ -132,7 +134,7 @@ fn nearest(star: &[Corner], own: usize, p: DVec3) -> (u32, f64) {
     let own_first = std::iter::once(&star[own]).chain(&star[..own]).chain(&star[own + 1..]);
     for corner in own_first.filter(|c| !c.dies && c.group == group) {
         let off_plane = corner.facet.normal.as_dvec3().dot(p - corner.corners[0]);
-        if off_plane * off_plane < best.1 {
+        if off_plane * off_plane < best.1 && corner.around.squared_to(p) < best.1 {
             let squared = (closest_on_triangle(p, &corner.corners) - p).length_squared();
             if squared < best.1 {
                 best = (corner.face, squared);

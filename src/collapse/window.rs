@@ -11,12 +11,16 @@
 //! 3. After a step faces take the class and weight that most of the samples riding on them have.
 //! 4. As scales grow, [`Patch::thinned`] lets one sample stand for others near it; it then has that much less to spare.
 //!
+//! # Cost
+//! Of the edges considered on a scan (0.77 million faces, nine steps) one in eight flips, more than half are refused by
+//! their samples or for a face across open space, one in five collapses, the rest is filed anew. The first step takes two
+//! fifths of all. In the last ones samples are most of it: cubes smaller than the source's faces thin nothing, and at
+//! edges of 0.22 m and budgets of 0.1 m 415 of 439 thousand samples ride on to the root, 700 to a star.
+//!
 //! # Promises
 //! - No sample, nor any it stands for, is further than t·b from its own cell's surface after a step to t.
 //! - Neighbouring patches keep their common border bit for bit (`two_windows_keep_their_border`).
 //! - The result depends on the patches alone.
-
-use std::collections::HashMap;
 
 use glam::{DVec2, DVec3};
 use rayon::prelude::*;
@@ -26,6 +30,7 @@ use super::block::{BORDER, Block, Energy, LOCKED, Limit, Rules, Sample as Tracke
 use super::blocks::{border_of, mark_walls, split_faces};
 use super::{MOST_CLASSES, NONE};
 use crate::geo::Rect;
+use crate::geo::hash::BitsMap;
 use crate::ids::ClassId;
 use crate::mesh::GRID_PER_M;
 
@@ -212,7 +217,7 @@ impl Patch {
 
 /// Vertex ids by position.
 #[derive(Default)]
-struct Ids(HashMap<[u64; 3], u32>);
+struct Ids(BitsMap<[u64; 3], u32>);
 
 impl Ids {
     fn of(&mut self, p: DVec3, positions: &mut Vec<DVec3>) -> u32 {

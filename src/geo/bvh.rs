@@ -4,21 +4,28 @@
 //!
 //! # Method
 //! 1. Binned surface-area heuristic over face centroids (Wald 2007), 16 bins; subtrees above 32k faces in parallel.
-//! 2. Nodes in preorder with f32 boxes about the mesh's centre, rounded outwards; triangles in f64, in leaf order.
-//! 3. Closest point: depth first, nearer child first, pruned by the best distance so far.
+//! 2. Two levels of the binary tree become one of nodes with up to four children, whose boxes are tested together.
+//! 3. Nodes in preorder with f32 boxes about the mesh's centre, rounded outwards; triangles in f64, in leaf order.
+//! 4. Closest point: depth first, nearest child first, pruned by the best distance so far.
 //!
 //! # Promises
 //! The tree and every answer are the same for any number of threads. Distances are exact in f64: boxes only prune
 //! (`closest_point_equals_brute_force`).
 //!
 //! # Cost
-//! About 0.5 s a million faces to build on one core, 140 bytes a face.
+//! About 0.5 s a million faces to build on one core, 120 bytes a face.
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec3, Vec4};
 
 const LEAF_FACES: usize = 4;
 const BINS: usize = 16;
 const PARALLEL_FACES: usize = 1 << 15;
+/// Below this depth faces are halved as they lie: with no more than 2²⁸ of them the tree ends before
+/// [`MOST_DEPTH`], whatever their shape.
+const SPLIT_DEPTH: u32 = 40;
+const MOST_DEPTH: usize = SPLIT_DEPTH as usize + 28;
+/// Children that may wait: three of each node on the way down, and one.
+const STACK: usize = 3 * MOST_DEPTH + 1;
 
 /// See the module.
 pub struct Bvh {
@@ -41,14 +48,25 @@ pub struct Hit {
     pub distance: f64,
 }
 
+/// Up to four children, the first slots first; lanes of the boxes are children.
 #[derive(Clone, Copy)]
 struct Node {
-    min: Vec3,
-    /// Inner: index of the right child (the left one follows the node). Leaf: first triangle.
-    at: u32,
-    max: Vec3,
-    /// 0 for an inner node.
-    count: u32,
+    min: [Vec4; 3],
+    max: [Vec4; 3],
+    children: [Child; 4],
+}
+
+/// A node, or a leaf: with [`LEAF`], the count of its triangles less one at [`COUNT_SHIFT`], and the first of them.
+type Child = u32;
+
+const LEAF: u32 = 1 << 31;
+const COUNT_SHIFT: u32 = 29;
+const NO_CHILD: Child = u32::MAX >> 1;
+
+/// The triangles of a leaf, none for a node.
+fn leaf(child: Child) -> Option<std::ops::Range<usize>> {
+    let first = (child & ((1 << COUNT_SHIFT) - 1)) as usize;
+    (child & LEAF != 0).then(|| first..first + 1 + (child >> COUNT_SHIFT & 3) as usize)
 }
 
 impl Bvh {
@@ -67,13 +85,13 @@ impl Bvh {
             })
             .collect();
         let mut order: Vec<u32> = (0..faces.len() as u32).collect();
-        let nodes = if order.is_empty() { Vec::new() } else { build(&boxes, &mut order, 0) };
+        let nodes = if order.is_empty() { Vec::new() } else { widened(&build(&boxes, &mut order, 0, 0)) };
         let triangles = order.iter().map(|&f| corners(f)).collect();
         let boxes = order.iter().map(|&f| boxes[f as usize]).collect();
         Self { center, nodes, triangles, boxes, faces: order }
     }
 
-    /// The closest point within `max` metres of `p`; on a tie the first in the tree's order.
+    /// The closest point within `max` metres of `p`; on a tie the one found first.
     pub fn closest(&self, p: DVec3, max: f64) -> Option<Hit> {
         self.closest_until(p, max, -1.0)
     }
@@ -86,28 +104,28 @@ impl Bvh {
         let q = Query::of((p - self.center).as_vec3());
         let mut best = Hit { face: u32::MAX, point: p, distance: 0.0 };
         let mut best_squared = max * max;
+        let mut limit = (best_squared as f32).next_up();
         let enough_squared = if enough >= 0.0 { enough * enough } else { -1.0 };
-        let mut stack = [(0u32, 0f32); 128];
+        let mut stack = [(0 as Child, 0f32); STACK];
         let mut top = 1;
-        stack[0] = (0, q.squared_to(self.nodes[0].min, self.nodes[0].max));
         'open: while top > 0 {
             top -= 1;
-            let (at, bound) = stack[top];
-            if f64::from(bound) > best_squared {
+            let (child, bound) = stack[top];
+            if bound > limit {
                 continue;
             }
-            let node = &self.nodes[at as usize];
-            if node.count > 0 {
-                for i in node.at as usize..(node.at + node.count) as usize {
+            if let Some(range) = leaf(child) {
+                for i in range {
                     // A box costs a fifth of a triangle, and half of the triangles of a leaf are further than the best.
                     let (min, max) = self.boxes[i];
-                    if f64::from(q.squared_to(min, max)) > best_squared {
+                    if q.squared_to(min, max) > limit {
                         continue;
                     }
                     let point = closest_on_triangle(p, &self.triangles[i]);
                     let d = (point - p).length_squared();
                     if d < best_squared || (best.face == u32::MAX && d <= best_squared) {
                         best_squared = d;
+                        limit = (d as f32).next_up();
                         best = Hit { face: self.faces[i], point, distance: 0.0 };
                         if d <= enough_squared {
                             break 'open;
@@ -116,13 +134,25 @@ impl Bvh {
                 }
                 continue;
             }
-            let (left, right) = (at + 1, node.at);
-            let squared = |at: u32| q.squared_to(self.nodes[at as usize].min, self.nodes[at as usize].max);
-            let (dl, dr) = (squared(left), squared(right));
-            let (near, far) = if dl <= dr { ((left, dl), (right, dr)) } else { ((right, dr), (left, dl)) };
-            stack[top] = far;
-            stack[top + 1] = near;
-            top += 2;
+            let node = &self.nodes[child as usize];
+            let squared = q.squared_to_four(node).to_array();
+            let first = top;
+            for (child, squared) in node.children.into_iter().zip(squared) {
+                if child == NO_CHILD {
+                    break;
+                }
+                if squared > limit {
+                    continue;
+                }
+                // The nearest on top; of equals the first.
+                let mut at = top;
+                while at > first && stack[at - 1].1 <= squared {
+                    stack[at] = stack[at - 1];
+                    at -= 1;
+                }
+                stack[at] = (child, squared);
+                top += 1;
+            }
         }
         (best.face != u32::MAX).then(|| Hit { distance: best_squared.sqrt(), ..best })
     }
@@ -139,17 +169,21 @@ impl Bvh {
         Some(self.closest(p, distance).filter(|hit| hit.distance < distance).unwrap_or(Hit { face, point, distance }))
     }
 
-    /// Per node the union of `mask_of` over the faces below it, for [`Bvh::mask_within`].
+    /// The union of `mask_of` over all faces, and then for each child of each node over the faces below it: for
+    /// [`Bvh::mask_within`].
     pub fn masks(&self, mask_of: impl Fn(u32) -> u32) -> Vec<u32> {
-        let mut masks = vec![0; self.nodes.len()];
+        let mut masks = vec![0; if self.nodes.is_empty() { 0 } else { 1 + 4 * self.nodes.len() }];
         // Children come after their parent.
         for (at, node) in self.nodes.iter().enumerate().rev() {
-            masks[at] = if node.count > 0 {
-                let faces = &self.faces[node.at as usize..(node.at + node.count) as usize];
-                faces.iter().fold(0, |mask, &f| mask | mask_of(f))
-            } else {
-                masks[at + 1] | masks[node.at as usize]
-            };
+            for (k, child) in node.children.into_iter().enumerate().filter(|(_, c)| *c != NO_CHILD) {
+                masks[1 + 4 * at + k] = match leaf(child) {
+                    Some(range) => self.faces[range].iter().fold(0, |mask, &f| mask | mask_of(f)),
+                    None => masks[1 + 4 * child as usize..][..4].iter().fold(0, |mask, of_child| mask | of_child),
+                };
+            }
+        }
+        if let Some(all) = masks.get(1..5).map(|root| root.iter().fold(0, |mask, of_child| mask | of_child)) {
+            masks[0] = all;
         }
         masks
     }
@@ -162,26 +196,32 @@ impl Bvh {
         }
         let q = Query::of((p - self.center).as_vec3());
         let (mut found, limit) = (0, radius * radius);
-        let mut stack = [0u32; 128];
+        let limit_above = (limit as f32).next_up();
+        let mut stack = [(0 as Child, 0u32); STACK];
+        stack[0] = (0, masks[0]);
         let mut top = 1;
         while top > 0 {
             top -= 1;
-            let at = stack[top];
-            let node = &self.nodes[at as usize];
-            let new = masks[at as usize] & wanted & !found;
-            if new == 0 || f64::from(q.squared_to(node.min, node.max)) > limit {
+            let (child, mask) = stack[top];
+            if mask & wanted & !found == 0 {
                 continue;
             }
-            if node.count > 0 {
-                for i in node.at as usize..(node.at + node.count) as usize {
+            if let Some(range) = leaf(child) {
+                for i in range {
                     let new = mask_of(self.faces[i]) & wanted & !found;
                     if new != 0 && (closest_on_triangle(p, &self.triangles[i]) - p).length_squared() <= limit {
                         found |= new;
                     }
                 }
-            } else {
-                (stack[top], stack[top + 1]) = (node.at, at + 1);
-                top += 2;
+                continue;
+            }
+            let node = &self.nodes[child as usize];
+            let squared = q.squared_to_four(node).to_array();
+            for k in (0..4).rev() {
+                if node.children[k] != NO_CHILD && squared[k] <= limit_above {
+                    stack[top] = (node.children[k], masks[1 + 4 * child as usize + k]);
+                    top += 1;
+                }
             }
         }
         found
@@ -189,28 +229,21 @@ impl Bvh {
 
     /// Calls `visit` for every face whose box touches the box `min..max`, in the tree's order.
     pub fn overlapping(&self, min: DVec3, max: DVec3, visit: &mut dyn FnMut(u32)) {
-        if self.nodes.is_empty() {
-            return;
-        }
         let (min, max) = (round_down(min - self.center), round_up(max - self.center));
-        let mut stack = vec![0u32];
-        while let Some(at) = stack.pop() {
-            let node = &self.nodes[at as usize];
-            if node.max.cmplt(min).any() || node.min.cmpgt(max).any() {
-                continue;
+        let touching = |node: &Node| {
+            let mut bits = 0b1111;
+            for k in 0..3 {
+                bits &= node.max[k].cmpge(Vec4::splat(min[k])).bitmask();
+                bits &= node.min[k].cmple(Vec4::splat(max[k])).bitmask();
             }
-            if node.count > 0 {
-                for i in node.at as usize..(node.at + node.count) as usize {
-                    let (low, high) = self.boxes[i];
-                    if !(high.cmplt(min).any() || low.cmpgt(max).any()) {
-                        visit(self.faces[i]);
-                    }
-                }
-            } else {
-                stack.push(node.at);
-                stack.push(at + 1);
+            bits
+        };
+        self.walk(touching, &mut |i| {
+            let (low, high) = self.boxes[i];
+            if !(high.cmplt(min).any() || low.cmpgt(max).any()) {
+                visit(self.faces[i]);
             }
-        }
+        });
     }
 
     /// Calls `visit` with every face whose box touches a turned box, and its corners, in the tree's order: some that only
@@ -222,26 +255,36 @@ impl Bvh {
         half: DVec3,
         visit: &mut dyn FnMut(u32, &[DVec3; 3]),
     ) {
+        let turned = Turned::of((center - self.center).as_vec3(), axes.map(|a| a.as_vec3()), half.as_vec3());
+        self.walk(|node| turned.touches_four(node), &mut |i| {
+            let (low, high) = self.boxes[i];
+            if turned.touches(low, high) {
+                visit(self.faces[i], &self.triangles[i]);
+            }
+        });
+    }
+
+    /// Calls `visit` for the triangles of all leaves that `touching`, a bit for each child, leads to.
+    fn walk(&self, touching: impl Fn(&Node) -> u32, visit: &mut dyn FnMut(usize)) {
         if self.nodes.is_empty() {
             return;
         }
-        let turned = Turned::of((center - self.center).as_vec3(), axes.map(|a| a.as_vec3()), half.as_vec3());
-        let mut stack = vec![0u32];
-        while let Some(at) = stack.pop() {
-            let node = &self.nodes[at as usize];
-            if !turned.touches(node.min, node.max) {
+        let mut stack = [0 as Child; STACK];
+        let mut top = 1;
+        while top > 0 {
+            top -= 1;
+            let child = stack[top];
+            if let Some(range) = leaf(child) {
+                range.for_each(&mut *visit);
                 continue;
             }
-            if node.count > 0 {
-                for i in node.at as usize..(node.at + node.count) as usize {
-                    let (low, high) = self.boxes[i];
-                    if turned.touches(low, high) {
-                        visit(self.faces[i], &self.triangles[i]);
-                    }
+            let node = &self.nodes[child as usize];
+            let bits = touching(node);
+            for k in (0..4).rev() {
+                if bits >> k & 1 == 1 && node.children[k] != NO_CHILD {
+                    stack[top] = node.children[k];
+                    top += 1;
                 }
-            } else {
-                stack.push(node.at);
-                stack.push(at + 1);
             }
         }
     }
@@ -253,6 +296,9 @@ struct Query {
     slack: f32,
 }
 
+/// f32 rounding of a box's distance must never lift the bound above the truth: this share of its square is let go.
+const KEPT_SHARE: f32 = 1.0 - 4e-6;
+
 impl Query {
     fn of(at: Vec3) -> Self {
         Self { at, slack: 1e-6 * at.abs().max_element() }
@@ -260,11 +306,18 @@ impl Query {
 
     /// A lower bound of the squared distance to anything in a box.
     fn squared_to(&self, min: Vec3, max: Vec3) -> f32 {
-        let d = (min - self.at).max(self.at - max).max(Vec3::ZERO);
-        // f32 rounding of q and of the sum must never lift the bound above the truth.
-        let slack = self.slack + 1e-6 * d.max_element();
-        let d = (d - slack).max(Vec3::ZERO);
-        d.length_squared()
+        let d = ((min - self.at).max(self.at - max) - self.slack).max(Vec3::ZERO);
+        d.length_squared() * KEPT_SHARE
+    }
+
+    /// The same for the boxes of a node.
+    fn squared_to_four(&self, node: &Node) -> Vec4 {
+        let along = |k: usize| {
+            let at = Vec4::splat(self.at[k]);
+            let d = ((node.min[k] - at).max(at - node.max[k]) - self.slack).max(Vec4::ZERO);
+            d * d
+        };
+        (along(0) + along(1) + along(2)) * KEPT_SHARE
     }
 }
 
@@ -295,6 +348,25 @@ impl Turned {
             |k: usize| middle.dot(self.axes[k]).abs() > extent.dot(self.axes[k].abs()) + self.half[k] + 4.0 * room;
         !(apart(0) || apart(1) || apart(2))
     }
+
+    /// The children of a node whose boxes touch it, a bit each.
+    fn touches_four(&self, node: &Node) -> u32 {
+        let middle = [0, 1, 2].map(|k| (node.min[k] + node.max[k]) * 0.5 - self.center[k]);
+        let extent = [0, 1, 2].map(|k| (node.max[k] - node.min[k]) * 0.5);
+        let most = |v: [Vec4; 3]| v[0].max(v[1]).max(v[2]);
+        let room = (most(middle.map(Vec4::abs)) + most(extent)) * 1e-6;
+        let mut bits = 0b1111;
+        for k in 0..3 {
+            bits &= middle[k].abs().cmple(extent[k] + self.reach[k] + room).bitmask();
+        }
+        for k in 0..3 {
+            let (axis, width) = (self.axes[k], self.axes[k].abs());
+            let off = middle[0] * axis.x + middle[1] * axis.y + middle[2] * axis.z;
+            let wide = extent[0] * width.x + extent[1] * width.y + extent[2] * width.z;
+            bits &= off.abs().cmple(wide + self.half[k] + room * 4.0).bitmask();
+        }
+        bits
+    }
 }
 
 fn round_down(v: DVec3) -> Vec3 {
@@ -310,41 +382,97 @@ fn down(f: f32, exact: f64) -> f32 {
     if f64::from(f) > exact { f.next_down() } else { f }
 }
 
+/// A node of the binary tree.
+#[derive(Clone, Copy)]
+struct Half {
+    min: Vec3,
+    /// Inner: index of the right child (the left one follows the node). Leaf: first triangle.
+    at: u32,
+    max: Vec3,
+    /// 0 for an inner node.
+    count: u32,
+}
+
+/// The binary tree with up to four children a node, in preorder.
+fn widened(halves: &[Half]) -> Vec<Node> {
+    let mut nodes = Vec::with_capacity(halves.len() / 5 + 1);
+    widen(halves, 0, &mut nodes);
+    nodes
+}
+
+/// Appends the node of `halves[at]` and all below it.
+fn widen(halves: &[Half], at: usize, nodes: &mut Vec<Node>) {
+    // The largest inner one gives way to its two as long as there is room; a tree of one leaf is a node of one child.
+    let mut slots = [at, 0, 0, 0];
+    let mut count = 1;
+    while count < 4 {
+        let area = |i: usize| half_area(halves[i].max - halves[i].min);
+        let inner = (0..count).filter(|&k| halves[slots[k]].count == 0);
+        let Some(k) = inner.max_by(|&a, &b| area(slots[a]).total_cmp(&area(slots[b])).then(b.cmp(&a))) else { break };
+        slots.copy_within(k + 1..count.min(3), k + 2);
+        let opened = slots[k];
+        (slots[k], slots[k + 1]) = (opened + 1, halves[opened].at as usize);
+        count += 1;
+    }
+    let own = nodes.len();
+    // Boxes of nothing touch nothing.
+    let nowhere = [Vec4::INFINITY; 3];
+    nodes.push(Node { min: nowhere, max: nowhere.map(|v| -v), children: [NO_CHILD; 4] });
+    for (k, &slot) in slots[..count].iter().enumerate() {
+        let half = halves[slot];
+        let child = if half.count > 0 { LEAF | (half.count - 1) << COUNT_SHIFT | half.at } else { nodes.len() as u32 };
+        let node = &mut nodes[own];
+        for axis in 0..3 {
+            (node.min[axis][k], node.max[axis][k]) = (half.min[axis], half.max[axis]);
+        }
+        node.children[k] = child;
+        if half.count == 0 {
+            widen(halves, slot, nodes);
+        }
+    }
+}
+
 /// Nodes of `order[..]` in preorder; `first` is where `order` starts among all triangles.
-fn build(boxes: &[(Vec3, Vec3)], order: &mut [u32], first: u32) -> Vec<Node> {
+fn build(boxes: &[(Vec3, Vec3)], order: &mut [u32], first: u32, depth: u32) -> Vec<Half> {
     let mut scratch = Vec::new();
     if order.len() <= PARALLEL_FACES {
         let mut nodes = Vec::with_capacity(order.len());
-        grow(boxes, order, first, &mut nodes, &mut scratch);
+        grow(boxes, order, (first, depth), &mut nodes, &mut scratch);
         return nodes;
     }
     let around = Around::of(boxes, order);
-    let middle = split(boxes, order, &around, &mut scratch);
+    let middle = split(boxes, order, &around, depth, &mut scratch);
     let (left, right) = order.split_at_mut(middle);
     let second = first + middle as u32;
-    let (left, right) = rayon::join(|| build(boxes, left, first), || build(boxes, right, second));
+    let (left, right) = rayon::join(|| build(boxes, left, first, depth + 1), || build(boxes, right, second, depth + 1));
     let mut nodes = Vec::with_capacity(1 + left.len() + right.len());
     let right_at = 1 + left.len() as u32;
-    nodes.push(Node { min: around.min, at: right_at, max: around.max, count: 0 });
+    nodes.push(Half { min: around.min, at: right_at, max: around.max, count: 0 });
     for (offset, part) in [(1, left), (right_at, right)] {
-        nodes.extend(part.into_iter().map(|n| if n.count == 0 { Node { at: n.at + offset, ..n } } else { n }));
+        nodes.extend(part.into_iter().map(|n| if n.count == 0 { Half { at: n.at + offset, ..n } } else { n }));
     }
     nodes
 }
 
 /// Appends the nodes of `order[..]` in preorder.
-fn grow(boxes: &[(Vec3, Vec3)], order: &mut [u32], first: u32, nodes: &mut Vec<Node>, scratch: &mut Vec<u32>) {
+fn grow(
+    boxes: &[(Vec3, Vec3)],
+    order: &mut [u32],
+    (first, depth): (u32, u32),
+    nodes: &mut Vec<Half>,
+    scratch: &mut Vec<u32>,
+) {
     let around = Around::of(boxes, order);
     let own = nodes.len();
-    nodes.push(Node { min: around.min, at: first, max: around.max, count: order.len() as u32 });
+    nodes.push(Half { min: around.min, at: first, max: around.max, count: order.len() as u32 });
     if order.len() <= LEAF_FACES {
         return;
     }
-    let middle = split(boxes, order, &around, scratch);
+    let middle = split(boxes, order, &around, depth, scratch);
     let (left, right) = order.split_at_mut(middle);
-    grow(boxes, left, first, nodes, scratch);
+    grow(boxes, left, (first, depth + 1), nodes, scratch);
     (nodes[own].at, nodes[own].count) = (nodes.len() as u32, 0);
-    grow(boxes, right, first + middle as u32, nodes, scratch);
+    grow(boxes, right, (first + middle as u32, depth + 1), nodes, scratch);
 }
 
 /// The box of faces, and that of their centres, doubled.
@@ -370,12 +498,12 @@ impl Around {
 }
 
 /// Reorders `order` about the best of the binned splits and returns where the right half begins.
-fn split(boxes: &[(Vec3, Vec3)], order: &mut [u32], around: &Around, scratch: &mut Vec<u32>) -> usize {
+fn split(boxes: &[(Vec3, Vec3)], order: &mut [u32], around: &Around, depth: u32, scratch: &mut Vec<u32>) -> usize {
     let (cmin, cmax) = (around.cmin, around.cmax);
     let extent = cmax - cmin;
     let axis = if extent.x >= extent.y && extent.x >= extent.z { 0 } else { usize::from(extent.y < extent.z) + 1 };
     let half = order.len() / 2;
-    if extent[axis] <= 0.0 {
+    if extent[axis] <= 0.0 || depth >= SPLIT_DEPTH {
         return half;
     }
     let scale = BINS as f32 / extent[axis];
@@ -538,6 +666,43 @@ mod tests {
             assert_eq!(bvh.mask_within(&masks, bit, q, radius, u32::MAX), truth);
             assert_eq!(bvh.mask_within(&masks, bit, q, radius, 1), truth & 1);
         }
+    }
+
+    #[test]
+    fn a_tree_of_sizes_that_never_end_is_no_deeper_than_the_stack() {
+        // Each pair of faces is half as large as the one before and half as far from the middle.
+        let sizes = (0..240).map(|i| if i % 2 == 0 { 1e15 } else { -1e15 } * 0.5f64.powi(i / 2));
+        let positions: Vec<DVec3> =
+            sizes.flat_map(|s| [DVec3::new(s, 0.0, 0.0), DVec3::new(s, s, 0.0), DVec3::new(s, 0.0, s)]).collect();
+        let faces: Vec<[u32; 3]> = (0..240).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect();
+        let boxes: Vec<(Vec3, Vec3)> = (faces.iter())
+            .map(|f| f.map(|v| positions[v as usize].as_vec3()))
+            .map(|[a, b, c]| (a.min(b).min(c), a.max(b).max(c)))
+            .collect();
+        let halves = build(&boxes, &mut (0..240).collect::<Vec<u32>>(), 0, 0);
+        let mut depths = vec![0; halves.len()];
+        for (at, half) in halves.iter().enumerate().filter(|(_, half)| half.count == 0) {
+            (depths[at + 1], depths[half.at as usize]) = (depths[at] + 1, depths[at] + 1);
+        }
+        let deepest = depths.into_iter().max().unwrap();
+        assert!((20..=MOST_DEPTH).contains(&deepest), "{deepest}");
+        let bvh = Bvh::new(&positions, &faces);
+        for p in positions.iter().step_by(7) {
+            assert_eq!(bvh.closest(*p, f64::INFINITY).unwrap().distance, 0.0);
+        }
+    }
+
+    #[test]
+    fn equal_faces_are_all_found() {
+        let faces = vec![[0, 1, 2]; 1000];
+        let positions = [DVec3::ZERO, DVec3::X, DVec3::Y];
+        let bvh = Bvh::new(&positions, &faces);
+        let mut found = Vec::new();
+        bvh.overlapping(DVec3::ZERO, DVec3::ONE, &mut |f| found.push(f));
+        found.sort_unstable();
+        assert_eq!(found, (0..1000).collect::<Vec<u32>>());
+        assert_eq!(bvh.closest(DVec3::Z, 2.0).unwrap().distance, 1.0);
+        assert_eq!(bvh.masks(|f| 1 << (f % 5))[0], 31);
     }
 
     #[test]

@@ -23,6 +23,7 @@ pub mod eigen;
 pub mod ellipsoid;
 pub mod frame;
 pub mod georeference;
+pub mod hash;
 mod wkt;
 
 pub use bounds::{Aabb, Rect};

@@ -14,6 +14,9 @@
 //! 18 %, ingest 8 %, classes 3 %, masks of used texels 2 %, coding and decoding JPEG 3 %, trees, mips, leaves and GLB 4 %.
 //! Every level is measured and painted from the source itself: finer tiles in its place would be cheaper, but what one
 //! class lost there would count for all of them.
+//! Nothing stands out: there are 18 bakes of 14 million texels, 17 million times that a source face comes near a block of
+//! one, 3 million source faces measured and 6 million searches. To hold small source faces against each texel near them
+//! instead of row by row took 0.997 of the time of a build.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicUsize, Ordering};

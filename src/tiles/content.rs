@@ -6,8 +6,6 @@
 //! part does not fit into memory, finer tiles stand for it: their own certified error is added to every bound (the
 //! triangle inequality), and the tile is painted from their textures.
 
-use std::collections::HashMap;
-
 use glam::{DVec3, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 
@@ -17,6 +15,7 @@ use super::skirt::Hem;
 use crate::Result;
 use crate::geo::bounds::Aabb;
 use crate::geo::bvh::Bvh;
+use crate::geo::hash::BitsMap;
 use crate::ids::{ClassId, ClassScheme};
 use crate::input::Material;
 use crate::texture::{BakeSource, Baked, Images, Surface, TextureConfig, bake, encode_jpeg, repack};
@@ -249,7 +248,7 @@ impl Maker<'_> {
         let texel_m = paint.as_ref().map_or(0.0, |p| p.texel_m);
         let mut content =
             TileContent { origin, copyright: self.copyright.map(str::to_owned), ..TileContent::default() };
-        let mut wedges: HashMap<(u32, [u32; 2], ClassId), u32> = HashMap::new();
+        let mut wedges: BitsMap<(u32, [u32; 2], ClassId), u32> = BitsMap::default();
         let normals = if self.normals { patch.vertex_normals() } else { Vec::new() };
         for (f, face) in patch.faces.iter().enumerate() {
             let label = patch.labels[f];
@@ -308,7 +307,7 @@ impl Maker<'_> {
 /// from the edges they hang from.
 fn hang(content: &mut TileContent, hem: &Hem) {
     let first = content.positions.len();
-    let mut made: HashMap<(u32, [u32; 3]), u32> = HashMap::new();
+    let mut made: BitsMap<(u32, [u32; 3]), u32> = BitsMap::default();
     for strip in &hem.strips {
         let face = content.faces[strip.face as usize];
         let corners = [0, 1].map(|k| face[(usize::from(strip.corner) + k) % 3]);

@@ -38,6 +38,13 @@ pub(super) fn bound(near: &mut Near, roughly: &mut [[f32; 2]], found: &mut [Devi
                     open.select_nth_unstable_by(count, worse);
                 }
                 open[..count].sort_unstable_by(worse);
+                // What is left adds nothing worth a closer look: the worst of it stands for all.
+                if let (Some(&(worst, _)), true) = (open.first(), open.iter().all(|o| o.0 < f32::INFINITY))
+                    && f64::from(worst) <= enough(bound_m[side])
+                {
+                    bound_m[side] = bound_m[side].max(f64::from(worst));
+                    break;
+                }
                 for &(value_m, f) in &open[..count] {
                     if f64::from(value_m) > bound_m[side] {
                         refine(near, f as usize, reach_m, &mut bound_m);

@@ -24,7 +24,7 @@
 //! cell. A solid thinner than the gap beside it is pierced by its skirt. Where windings disagree the inner side is a guess.
 //! Cells that meet at a corner only are not compared: their tiles share a line.
 
-use std::collections::{BTreeMap, HashMap, HashSet};
+use std::collections::{BTreeMap, HashSet};
 
 use glam::DVec3;
 use rayon::prelude::*;
@@ -32,6 +32,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use crate::geo::Rect;
 use crate::geo::bvh::{Bvh, closest_on_triangle};
+use crate::geo::hash::BitsMap;
 
 /// A distance is certain when it is known to this, metres …
 const CERTAIN_M: f64 = 1e-3;
@@ -197,7 +198,7 @@ fn key(p: DVec3) -> [u64; 3] {
 
 /// Keeps the edges at which an odd number of faces meet: one of them, in the direction that most of them have.
 fn keep_open(edges: &mut Vec<Edge>) {
-    let mut count: HashMap<[[u64; 3]; 2], usize> = HashMap::new();
+    let mut count: BitsMap<[[u64; 3]; 2], usize> = BitsMap::default();
     for edge in edges.iter() {
         *count.entry(edge.ends.map(key)).or_default() += 1;
     }
@@ -212,7 +213,7 @@ fn keep_open(edges: &mut Vec<Edge>) {
 /// Directions at the ends of edges: between those of the edges that meet there; upright at the cell's corners, where
 /// the skirts of two walls have to meet.
 fn join(edges: &mut [Edge], side: usize, plan: &Rect) {
-    let mut sums: HashMap<[u64; 3], DVec3> = HashMap::new();
+    let mut sums: BitsMap<[u64; 3], DVec3> = BitsMap::default();
     for edge in edges.iter() {
         edge.ends.iter().for_each(|p| *sums.entry(key(*p)).or_default() += edge.inward);
     }
@@ -403,7 +404,7 @@ fn nearest([a, b]: [DVec3; 2], p: DVec3) -> DVec3 {
 
 /// Adds the strips of one wall: at each vertex as deep as the deeper of its edges asks.
 fn hang(edges: &[Edge], demand_m: &[f64], hem: &mut Hem) {
-    let mut depths: HashMap<[u64; 3], f64> = HashMap::new();
+    let mut depths: BitsMap<[u64; 3], f64> = BitsMap::default();
     for (edge, &demand_m) in edges.iter().zip(demand_m).filter(|(_, d)| **d > 0.0) {
         for end in edge.ends {
             let depth = depths.entry(key(end)).or_default();

@@ -2,11 +2,10 @@
 //!
 //! A vertex is its position, so a soup becomes a mesh again by joining equal positions.
 
-use std::collections::HashMap;
-
 use glam::{DVec3, Vec2};
 
 use crate::Result;
+use crate::geo::hash::BitsMap;
 use crate::mesh::Mesh;
 use crate::store::{PageReader, PageWriter};
 
@@ -76,7 +75,7 @@ impl Soup {
     /// The same, each position replaced first.
     pub fn into_mesh_by(self, place: impl Fn(DVec3) -> DVec3) -> Mesh {
         let mut mesh = Mesh::default();
-        let mut ids: HashMap<[u64; 3], u32> = HashMap::with_capacity(self.len());
+        let mut ids: BitsMap<[u64; 3], u32> = BitsMap::with_capacity_and_hasher(self.len(), Default::default());
         for (f, corners) in self.corners.iter().enumerate() {
             let places = corners.map(&place);
             let [a, b, c] = places;

@@ -23,6 +23,7 @@ use super::cover::Cover;
 use super::read::{TileMesh, Tileset};
 use super::structure::TileFigures;
 use crate::Result;
+use crate::input::jpeg;
 use crate::report::Reporter;
 
 /// A tile with less than this part of the detail that it might have is blurred.
@@ -203,24 +204,11 @@ impl Profile {
 }
 
 /// The pixels of an image; `None` if it cannot be decoded.
-///
-/// JPEGs have a decoder of their own: that of [`image`] gives green stripes where one with halved colours comes in a scan
-/// for each of them, as encoders write it that fit their tables to the image.
 fn decoded(encoded: &[u8]) -> Option<RgbImage> {
-    if !encoded.starts_with(&[0xFF, 0xD8]) {
-        return image::load_from_memory(encoded).ok().map(image::DynamicImage::into_rgb8);
+    if encoded.starts_with(&jpeg::MAGIC) {
+        return jpeg::decode(encoded, 4 * MOST_PX as usize);
     }
-    let mut decoder = jpeg_decoder::Decoder::new(encoded);
-    decoder.set_max_decoding_buffer_size(4 * MOST_PX as usize);
-    let pixels = decoder.decode().ok()?;
-    let info = decoder.info()?;
-    let rgb = match info.pixel_format {
-        jpeg_decoder::PixelFormat::RGB24 => pixels,
-        jpeg_decoder::PixelFormat::L8 => pixels.iter().flat_map(|&grey| [grey; 3]).collect(),
-        // Inks: nobody paints tiles with them.
-        _ => return None,
-    };
-    RgbImage::from_raw(info.width.into(), info.height.into(), rgb)
+    image::load_from_memory(encoded).ok().map(image::DynamicImage::into_rgb8)
 }
 
 struct Grey {

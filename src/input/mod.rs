@@ -17,6 +17,7 @@ use crate::{Error, Result};
 pub mod discover;
 pub mod georeference;
 pub mod gltf;
+pub mod jpeg;
 pub mod label_names;
 pub mod labels;
 mod lines;

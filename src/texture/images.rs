@@ -14,7 +14,7 @@ use image::{DynamicImage, ImageDecoder, ImageReader, Limits, Rgb, RgbImage};
 use super::mask::{Mask, pyramid};
 use super::raster::touched;
 use super::{GREY, Surface};
-use crate::input::ImageRef;
+use crate::input::{ImageRef, jpeg};
 use crate::report::Reporter;
 
 /// Decoded texels held at most by default, bytes.
@@ -286,8 +286,16 @@ fn read_size(reader: impl BufRead + Seek) -> Result<(u32, u32), String> {
     guarded(|| Ok(decoder(reader)?.dimensions()))
 }
 
-fn decode_pixels(reader: impl BufRead + Seek) -> Result<RgbImage, String> {
-    guarded(|| Ok(DynamicImage::from_decoder(decoder(reader)?)?.into_rgb8()))
+fn decode_pixels(mut reader: impl BufRead + Seek) -> Result<RgbImage, String> {
+    guarded(move || {
+        if reader.fill_buf()?.starts_with(&jpeg::MAGIC)
+            && let Some(pixels) = jpeg::decode(&mut reader, MAX_ALLOC_BYTES as usize)
+        {
+            return Ok(pixels);
+        }
+        reader.rewind()?;
+        Ok(DynamicImage::from_decoder(decoder(reader)?)?.into_rgb8())
+    })
 }
 
 /// Decoders are known to panic on some broken files; that is one unreadable image, not the end of the run.

@@ -12,7 +12,6 @@ use serde::{Deserialize, Serialize};
 use super::error::{Deviation, Figures, Surface as Measured, from_source, from_tile};
 use super::levels::TileMesh;
 use super::skirt::Hem;
-use crate::Result;
 use crate::geo::bounds::Aabb;
 use crate::geo::bvh::Bvh;
 use crate::geo::hash::BitsMap;
@@ -20,6 +19,7 @@ use crate::ids::{ClassId, ClassScheme};
 use crate::input::Material;
 use crate::texture::{BakeSource, Baked, Images, Surface, TextureConfig, bake, encode_jpeg, repack};
 use crate::write::TileContent;
+use crate::{Error, Result};
 
 /// A tile ready to be written.
 pub struct MadeTile {
@@ -196,15 +196,26 @@ impl Maker<'_> {
         let texel_m = (geometry_m / self.texel_factor).max(reference_texel_m);
         let from = BakeSource { surface: source.surface(), bvh: &tree };
         let mut max_atlas_px = fit.atlas_px.min(self.texture.max_atlas_px);
+        let mut larger = None;
         loop {
             let config = TextureConfig { max_atlas_px, ..self.texture.clone() };
-            let paint = bake(&patch.surface(), &from, images, texel_m, &config)?;
+            let paint = match (bake(&patch.surface(), &from, images, texel_m, &config), larger.take()) {
+                // Gutters alone leave no room. What fitted stays, however large; what never did gets more.
+                (Err(Error::Config(_)), Some(made)) => return Ok(made),
+                (Err(Error::Config(_)), None) if max_atlas_px < self.texture.max_atlas_px => {
+                    max_atlas_px = max_atlas_px.saturating_mul(2).min(self.texture.max_atlas_px);
+                    continue;
+                }
+                (paint, _) => paint?,
+            };
             let side_px = paint.atlas.width().max(paint.atlas.height());
             let made = self.assemble(&patch, Some(paint), quality, (geometry_m, moved_m), classes.clone(), hem);
             let file = (fit.encode)(&made.content);
-            match fit.smaller(&made, &file, side_px) {
-                Some(px) => max_atlas_px = px,
-                None => return Ok((MadeTile { reference_texel_m, ..made }, file)),
+            let smaller = fit.smaller(&made, &file, side_px);
+            let made = (MadeTile { reference_texel_m, ..made }, file);
+            match smaller {
+                Some(px) => (max_atlas_px, larger) = (px, Some(made)),
+                None => return Ok(made),
             }
         }
     }
@@ -439,4 +450,58 @@ fn nearest_colors(positions: &[DVec3], source: &Reference, tree: &Bvh) -> Vec<[u
         face.into_iter().min_by(by_distance)
     };
     positions.iter().map(|p| nearest_corner(p).map_or([128; 3], |v| source.vertex_colors[v as usize])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+
+    use image::{Rgb, RgbImage};
+
+    use super::*;
+    use crate::input::ImageRef;
+    use crate::report::Reporter;
+
+    #[test]
+    fn a_texture_of_too_many_charts_is_larger_than_wished_and_no_failure() {
+        // Faces that lie apart have charts of their own, and charts have gutters.
+        let corner = |f: usize, k: usize| {
+            DVec3::new((f % 60) as f64 * 3.0 + [0.0, 1.0, 0.0][k], (f / 60) as f64 * 3.0 + [0.0, 0.0, 1.0][k], 0.0)
+        };
+        let positions: Vec<DVec3> = (0..3000).flat_map(|f| (0..3).map(move |k| corner(f, k))).collect();
+        let faces: Vec<[u32; 3]> = (0..3000).map(|f| [3 * f, 3 * f + 1, 3 * f + 2]).collect();
+        let labels = vec![ClassId::ROOF; faces.len()];
+        let mesh = TileMesh { positions: positions.clone(), faces: faces.clone(), labels: labels.clone() };
+        let source = Reference {
+            positions,
+            corner_uvs: vec![[Vec2::ZERO, Vec2::X, Vec2::Y]; faces.len()],
+            face_material: vec![0; faces.len()],
+            materials: vec![Material { name: "all".into(), base_color: [0; 3], image: Some(0) }],
+            faces,
+            labels,
+            ..Reference::default()
+        };
+        let reporter = Reporter::new(true);
+        let mut images =
+            Images::new(vec![ImageRef::Pixels(Arc::new(RgbImage::from_pixel(64, 64, Rgb([90, 160, 30]))))], &reporter);
+        images.cover(&source.surface());
+        let (scheme, texture) = (ClassScheme::default(), TextureConfig::default());
+        let maker = Maker {
+            scheme: &scheme,
+            texture: &texture,
+            texel_factor: 16.0,
+            copyright: None,
+            normals: false,
+            moved_m: 0.0,
+        };
+        let encode = |content: &TileContent| content.atlas.clone().unwrap_or_default();
+        let side_px = |atlas_px: u32, most_bytes: u64| {
+            let fit = Fit { atlas_px, most_bytes, encode: &encode };
+            let (made, _) = maker.make_inner(&mesh, &source, &Hem::default(), &images, &fit).unwrap();
+            let atlas = image::load_from_memory(&made.content.atlas.unwrap()).unwrap();
+            atlas.width().max(atlas.height())
+        };
+        assert!(side_px(64, 1 << 30) > 256, "the first that its charts fit into");
+        assert!(side_px(2048, 1) > 256, "the last that they did fit into");
+    }
 }

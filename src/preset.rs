@@ -30,11 +30,11 @@ pub const PRESETS: [Preset; 4] = [
     },
     Preset {
         name: "city",
-        purpose: "a city on the web: buildings sharp, trees rough",
+        purpose: "a city on the web: buildings sharp, ground and trees rough",
         settings: &[
             ("budget.roof", "0.05"),
             ("budget.facade", "0.05"),
-            ("budget.terrain", "0.1"),
+            ("budget.terrain", "0.2"),
             ("budget.clutter", "0.2"),
             ("write.compress", "true"),
         ],

@@ -96,7 +96,7 @@ pub struct Settings {
 }
 
 /// The help text of a preset is its definition.
-fn presets() -> clap::builder::PossibleValuesParser {
+pub(super) fn presets() -> clap::builder::PossibleValuesParser {
     PRESETS.map(|p| clap::builder::PossibleValue::new(p.name).help(p.describe())).into()
 }
 

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use super::simplify::{Faces, Front, Method, front, scheme};
+use super::simplify::{Budgets, Faces, Front, Method, front};
 use super::{Outcome, print, print_json};
 use crate::experiment::{self, ExperimentConfig};
 use crate::measure::MeasureConfig;
@@ -32,9 +32,8 @@ pub struct Args {
     /// Classes of the input's triangles, as for `simplify`. Default: those in the input, else by its shape.
     #[arg(long, value_name = "FILE")]
     labels: Option<PathBuf>,
-    /// Metres that a class may deviate at scale 1, as for `simplify`.
-    #[arg(long, value_name = "CLASS=METRES,…")]
-    budget: Option<String>,
+    #[command(flatten)]
+    budgets: Budgets,
     /// Points on either surface for each measurement.
     #[arg(long, value_name = "N", default_value_t = 500_000)]
     samples: usize,
@@ -48,7 +47,7 @@ pub struct Args {
 
 pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     check(args)?;
-    let scheme = scheme(args.budget.as_deref())?;
+    let scheme = args.budgets.scheme()?;
     // Before anything is computed: an output that stands in the way is known at once.
     let output = Output::begin(&args.out, false)?;
     let front = front(&args.inputs, args.labels.as_deref(), args.allow_outside, |_| true, reporter)?;

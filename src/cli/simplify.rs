@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use glam::DVec3;
 use serde_json::json;
 
+use super::build::presets;
 use super::{Outcome, print, print_json};
 use crate::classes::{self, Classes, ClassesConfig};
 use crate::collapse::record::{self, About, MAX_CLASSES};
@@ -16,6 +17,7 @@ use crate::input::{self, ImageRef, InputConfig, Source, label_names};
 use crate::mesh::{self, GRID_PER_M, GateConfig, Mesh};
 use crate::pipeline::given::classes_of_labels;
 use crate::planes::{self, PlanesConfig};
+use crate::preset::Preset;
 use crate::report::Reporter;
 use crate::texture::{Images, Surface, TextureConfig, encode_jpeg, paint_cut};
 use crate::write::mesh::{Format, Plain, admit, write_all};
@@ -49,11 +51,8 @@ pub struct Args {
     /// input, else by its shape.
     #[arg(long, value_name = "FILE")]
     labels: Option<PathBuf>,
-    /// Metres that a class may deviate at scale 1, for those named: what is strict gets the triangles. Equal budgets treat
-    /// all classes alike; roof=0.03,facade=0.03 keeps buildings at the cost of the rest. Default: roof=0.05,
-    /// facade=0.05, terrain=0.1, clutter=0.1.
-    #[arg(long, value_name = "CLASS=METRES,…")]
-    budget: Option<String>,
+    #[command(flatten)]
+    budgets: Budgets,
     /// Write the collapse sequence here, for `replay`. The mesh is then what `replay` gives: not refitted. Its size is set by
     /// --grid: 3 to 5 bytes a triangle at 0.01, twice that by default.
     #[arg(long, value_name = "FILE")]
@@ -191,7 +190,7 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
         return Err(Error::Config(format!("--method {}: it {what}", args.method.name())));
     }
 
-    let scheme = scheme(args.budget.as_deref())?;
+    let scheme = args.budgets.scheme()?;
     let wanted = |mesh: &Mesh| are_classes_wanted(mesh, args);
     let front = front(&args.inputs, args.labels.as_deref(), args.allow_outside, wanted, reporter)?;
     let Front { mut mesh, mut classes, gate, origin, images: refs } = front;
@@ -269,11 +268,26 @@ pub fn run(args: &Args, json: bool, reporter: &Reporter) -> Result<Outcome> {
     Ok(Outcome::Fine)
 }
 
-/// The default classes with the budgets asked for.
-pub(super) fn scheme(budgets: Option<&str>) -> Result<ClassScheme> {
-    let mut config = Config::default();
-    budgets.map_or(Ok(()), |budgets| config.set_budgets(budgets))?;
-    Ok(config.classes)
+/// How far classes may deviate.
+#[derive(clap::Args)]
+pub(super) struct Budgets {
+    /// The budgets of a preset of `build`: survey treats all classes alike, city keeps buildings at the cost of the rest.
+    /// Its other settings do not count here.
+    #[arg(long, value_name = "NAME", value_parser = presets())]
+    preset: Option<String>,
+    /// Metres that a class may deviate at scale 1, for those named, over the preset: what is strict gets the triangles.
+    /// Default: roof=0.05, facade=0.05, terrain=0.1, clutter=0.1.
+    #[arg(long, value_name = "CLASS=METRES,…")]
+    budget: Option<String>,
+}
+
+impl Budgets {
+    /// The default classes with the budgets asked for.
+    pub fn scheme(&self) -> Result<ClassScheme> {
+        let mut config = Config::layered_on(self.preset.as_deref().and_then(Preset::of), None, &[])?;
+        self.budget.as_deref().map_or(Ok(()), |budgets| config.set_budgets(budgets))?;
+        Ok(config.classes)
+    }
 }
 
 /// A mesh behind the gate with its classes, ready to be simplified.

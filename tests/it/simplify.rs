@@ -132,6 +132,20 @@ fn a_cut_of_a_textured_mesh_looks_like_it() {
 }
 
 #[test]
+fn a_preset_gives_the_budgets_that_its_name_stands_for() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let input = painted_hills(temp.path(), 40);
+    let faces = |flags: &[&str]| {
+        let args: Vec<&str> = ["--scale", "1", "--no-texture"].iter().chain(flags).copied().collect();
+        simplify(&input, &temp.path().join("cut.ply"), &args)["faces"].as_u64().expect("a count")
+    };
+    let city = faces(&["--preset", "city"]);
+    assert_eq!(city, faces(&["--budget", "roof=0.05,facade=0.05,terrain=0.2,clutter=0.2"]));
+    assert!(city < faces(&[]), "terrain may move further than by default: {city}");
+    assert!(faces(&["--preset", "city", "--budget", "terrain=0.02"]) > city, "what is named comes over the preset");
+}
+
+#[test]
 fn compare_draws_both_and_says_how_alike_they_look() {
     let temp = tempfile::tempdir().expect("a folder");
     let input = painted_hills(temp.path(), 24);

@@ -11,7 +11,8 @@
 //!
 //! # Limits
 //! A vertex further than [`SeamConfig::reach_m`] from the neighbour's border has no partner and does not count: the
-//! outer border of a dataset, and tiles that overlap. Skirts hide gaps from above; they are measured all the same.
+//! outer border of a dataset, and tiles that overlap. Gaps between levels that a tile's skirts hide, by the depth that its
+//! metadata state, are measured all the same but named no cracks.
 
 use std::collections::HashMap;
 
@@ -20,7 +21,7 @@ use rayon::prelude::*;
 use serde::Serialize;
 
 use super::cover::Cover;
-use super::read::Tileset;
+use super::read::{Tile, Tileset};
 use crate::geo::Aabb;
 use crate::geo::bvh::Bvh;
 use crate::measure::Surface;
@@ -224,11 +225,12 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
             row.unmatched_edges += one.unmatched;
             all.extend(&one.gaps);
         }
-        // Of the coarser of the two: what its error allows.
-        let error_m = [*a, *b].map(|t| tileset.tiles[t].geometric_error_m).into_iter().fold(0.0, f64::max);
         let (into, limit) = match kind != Between::Levels {
             true => (&mut seams.cracks, config.crack_m),
-            false => (&mut seams.cracks_across, config.crack_m.max(error_m)),
+            false => {
+                let allowed_m = [*a, *b].map(|t| across_m(&tileset.tiles[t]));
+                (&mut seams.cracks_across, allowed_m.into_iter().fold(config.crack_m, f64::max))
+            }
         };
         let ends = [(*a, *b, &both[0]), (*b, *a, &both[1])];
         let worst = ends.iter().filter_map(|(t, n, f)| f.worst.map(|(gap, at)| (gap, at, *t, *n)));
@@ -249,6 +251,13 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
         cracks.sort_by(|a, b| b.gap_m.total_cmp(&a.gap_m).then((a.tile, a.neighbour).cmp(&(b.tile, b.neighbour))));
     }
     seams
+}
+
+/// How far a tile may be from a finer neighbour: as its error allows, and as the skirts hide that it says it has.
+fn across_m(tile: &Tile) -> f64 {
+    let properties = tile.metadata.as_ref().and_then(|m| m.get("properties"));
+    let skirt_m = properties.and_then(|p| p.get("skirtDepth")?.as_f64()).filter(|m| m.is_finite());
+    skirt_m.unwrap_or(0.0).max(tile.geometric_error_m)
 }
 
 /// Pairs of tiles whose boxes touch and that may be seen together, none above the other.

@@ -236,6 +236,26 @@ fn shared(leaves: &[usize]) -> (usize, DVec3) {
     panic!("no leaves meet");
 }
 
+/// Changes the numbers of a tile and of all below.
+fn restate(tile: &mut Value, change: &impl Fn(&mut Value)) {
+    change(tile);
+    tile["children"].as_array_mut().into_iter().flatten().for_each(|child| restate(child, change));
+}
+
+#[test]
+fn gaps_between_levels_are_cracks_where_neither_error_nor_skirt_accounts_for_them() {
+    let temp = tempfile::tempdir().expect("a folder");
+    let folder = copy(temp.path());
+    let across = || {
+        let faults = run(&folder, None).faults;
+        faults.iter().filter(|fault| fault.code == "crack-across-levels").count()
+    };
+    edit(&folder, |root| restate(root, &|tile| tile["geometricError"] = 0.001.into()));
+    assert_eq!(across(), 0, "skirts hide them");
+    edit(&folder, |root| restate(root, &|tile| tile["metadata"]["properties"]["skirtDepth"] = 0.into()));
+    assert!(across() > 0);
+}
+
 #[test]
 fn a_missing_tile_is_named_and_the_tiles_above_are_not_accused_for_it() {
     let town = town();

@@ -73,6 +73,7 @@ def main():
         with open(os.path.join(name, "tileset.json")) as file:
             roots[name] = prepare(json.load(file)["root"], name)
     print("height m  tileset      loaded MB  most drawn MB  tiles")
+    all_heights = [0, 0]
     for height in (float(h) for h in asked.heights.split(",")):
         sums = []
         for kind, name in (("per class", asked.semantic), ("uniform", asked.uniform)):
@@ -82,7 +83,9 @@ def main():
             total = sum(os.path.getsize(os.path.join(name, uri)) for uri in loaded)
             sums.append(total)
             print(f"{height:8.0f}  {kind:<11} {total / 1e6:10.2f} {most / 1e6:14.2f} {len(loaded):6}")
+        all_heights = [a + s for a, s in zip(all_heights, sums)]
         print(f"{'':8}  ratio       {sums[0] / sums[1]:10.2f}")
+    print(f"all       ratio       {all_heights[0] / all_heights[1]:10.2f}")
 
 
 if __name__ == "__main__":

@@ -38,11 +38,16 @@ struct Scratch(PathBuf);
 impl Scratch {
     fn new() -> Result<(Self, File)> {
         static NEXT: AtomicU64 = AtomicU64::new(0);
-        let own = NEXT.fetch_add(1, Ordering::Relaxed);
-        let path = std::env::temp_dir().join(format!("rooftile-audit-{}-{own}", std::process::id()));
-        // What is there already belongs to somebody, and may lead elsewhere.
-        let file = OpenOptions::new().read(true).write(true).create_new(true).open(&path);
-        file.map(|file| (Self(path.clone()), file)).map_err(Error::io("create", &path))
+        loop {
+            let own = NEXT.fetch_add(1, Ordering::Relaxed);
+            let path = std::env::temp_dir().join(format!("rooftile-audit-{}-{own}", std::process::id()));
+            match OpenOptions::new().read(true).write(true).create_new(true).open(&path) {
+                // What is there already belongs to somebody, perhaps to a run that was killed, and may lead elsewhere.
+                Err(e) if e.kind() == std::io::ErrorKind::AlreadyExists => {}
+                Err(e) => return Err(Error::io("create", &path)(e)),
+                Ok(file) => return Ok((Self(path), file)),
+            }
+        }
     }
 }
 
@@ -163,6 +168,12 @@ impl Cells {
             let at = square(&self.aabb, p, COUNTED_SIDE);
             [at % COUNTED_SIDE, at / COUNTED_SIDE]
         });
+        if low == high {
+            // One triangle far away makes squares of kilometres: without a look a box would never have fewer.
+            let mut count = 0;
+            self.visit(within, &mut |_| count += 1);
+            return count;
+        }
         let row =
             |y: usize| (low[0]..=high[0]).map(move |x| self.counted[y * COUNTED_SIDE + x] as usize).sum::<usize>();
         (low[1]..=high[1]).map(row).sum()

@@ -8,6 +8,7 @@
 //! green once.
 
 use std::io::Read;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 use image::RgbImage;
 use jpeg_decoder::{Decoder, PixelFormat};
@@ -15,11 +16,13 @@ use jpeg_decoder::{Decoder, PixelFormat};
 /// What a JPEG begins with.
 pub const MAGIC: [u8; 2] = [0xFF, 0xD8];
 
-/// The pixels of a JPEG; `None` if it is broken, has inks instead of colours, or takes more than `most_bytes`.
+/// The pixels of a JPEG; `None` if it is broken, has inks instead of colours, or its pixels take more than `most_bytes`.
+/// Coefficients of several scans are held beside them.
 pub fn decode(encoded: impl Read, most_bytes: usize) -> Option<RgbImage> {
     let mut decoder = Decoder::new(encoded);
     decoder.set_max_decoding_buffer_size(most_bytes);
-    let pixels = decoder.decode().ok()?;
+    // Decoders are known to panic on some broken files: that is one image, not the end of a run.
+    let pixels = catch_unwind(AssertUnwindSafe(|| decoder.decode())).ok()?.ok()?;
     let info = decoder.info()?;
     let rgb = match info.pixel_format {
         PixelFormat::RGB24 => pixels,

@@ -328,15 +328,13 @@ impl Contents<'_> {
     }
 }
 
-/// What is certified of a class together with what its tile was raised for, where vertices have moved by `moved_m` since:
-/// the bound is as far as it was looked around, the sinking the better of both.
+/// What is certified of a class, or where that is better what its tile was raised for, with vertices that have moved by
+/// `moved_m` since: it sinks less then, but within as far as it was looked around.
 fn raised(c: ClassDeviation, held: &[Held], moved_m: f64) -> ClassDeviation {
     match held.get(c.class.index()) {
-        Some(held) if held.sunk_m.is_finite() => ClassDeviation {
-            bound_m: c.bound_m.max(held.reach_m + moved_m),
-            sunk_m: c.sunk_m.min(held.sunk_m + moved_m),
-            ..c
-        },
+        Some(held) if held.sunk_m.is_finite() && held.sunk_m + moved_m < c.sunk_m => {
+            ClassDeviation { bound_m: c.bound_m.max(held.reach_m + moved_m), sunk_m: held.sunk_m + moved_m, ..c }
+        }
         _ => c,
     }
 }
@@ -344,6 +342,23 @@ fn raised(c: ClassDeviation, held: &[Held], moved_m: f64) -> ClassDeviation {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_tile_that_was_high_enough_keeps_its_bound() {
+        let of = |sunk_m: f64| {
+            let c = ClassDeviation {
+                class: crate::ids::ClassId::ROOF,
+                bound_m: 0.3,
+                inside_m: 0.1,
+                sunk_m,
+                figures: crate::tiles::error::Figures::default(),
+            };
+            let raised = raised(c, &[Held { reach_m: 0.9, sunk_m: 0.04 }; 4], 0.001);
+            (raised.bound_m, raised.sunk_m)
+        };
+        assert_eq!(of(0.02), (0.3, 0.02));
+        assert_eq!(of(0.2), (0.901, 0.041));
+    }
 
     #[test]
     fn texels_count_where_finer_tiles_have_smaller_ones() {

@@ -25,12 +25,12 @@ use crate::tiles::soup::bits;
 
 const FINISHED: &str = "tops/finished";
 
-/// Rise of each vertex of a tile's surface, metres; empty where none rises.
+/// Rise of each vertex of a tile's surface, metres; empty where tops are not kept, and of leaves.
 pub(super) fn rises(store: &Store, tile: usize) -> Result<Vec<f64>> {
     Ok(page(store, tile)?.0)
 }
 
-/// By class what holds of a tile; empty where nothing was raised.
+/// By class what holds of a tile; empty where tops are not kept, and of leaves.
 pub(super) fn held(store: &Store, tile: usize) -> Result<Vec<Held>> {
     let (_, reach_m, sunk_m) = page(store, tile)?;
     Ok(reach_m.into_iter().zip(sunk_m).map(|(reach_m, sunk_m)| Held { reach_m, sunk_m }).collect())

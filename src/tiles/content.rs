@@ -56,7 +56,7 @@ pub struct ClassDeviation {
     pub bound_m: f64,
     /// How far the tile sinks inside the source at most, along the source's normals, metres (certified).
     pub inside_m: f64,
-    /// How much lower than the source the tile is at most, metres (certified).
+    /// How much lower than the source the tile is at most, sideways within the bound, metres (certified).
     pub sunk_m: f64,
     /// Area-weighted figures, metres.
     pub figures: Figures,
@@ -106,7 +106,7 @@ pub struct Apart {
     pub bound_m: f64,
     /// Along the source's normals.
     pub inside_m: f64,
-    /// Straight down.
+    /// Straight down, sideways within the bound.
     pub sunk_m: f64,
 }
 

@@ -110,8 +110,10 @@ impl<'a> Rises<'a> {
             *near = Some(hit.face);
             Corner { at, hit }
         };
-        let found: Vec<([Corner; 3], ClassId)> =
-            kept.map(|(triangle, class)| (triangle.map(|at| corner(at, &mut near)), class)).collect();
+        let found: Vec<([Corner; 3], ClassId)> = kept
+            .map(|(triangle, class)| (triangle.map(|at| corner(at, &mut near)), class))
+            .filter(|(corners, _)| corners.iter().all(|c| c.hit.face != u32::MAX))
+            .collect();
         for (corners, class) in &found {
             let reach_m = &mut self.reach_m[class.index()];
             *reach_m = corners.iter().map(|c| REACH * c.hit.distance).fold(*reach_m, f64::max);
@@ -153,8 +155,7 @@ impl<'a> Rises<'a> {
             if !(at_last || is_low && is_narrow) {
                 return false;
             }
-            self.settle_apart(corners, class, limit_m - extent_m);
-            best.0 = limit_m;
+            best.0 = self.settle_apart(corners, class, limit_m - extent_m) + extent_m;
         }
         let held = &mut self.held[class.index()];
         *held = Held { reach_m: held.reach_m.max(reach_m), sunk_m: held.sunk_m.max(best.0) };
@@ -163,16 +164,21 @@ impl<'a> Rises<'a> {
     }
 
     /// A small face whose corners different triangles stand for: each, high enough above its corner, does for all that is
-    /// nearest to that.
-    fn settle_apart(&mut self, corners: &[Corner; 3], class: ClassId, limit_m: f64) {
-        let reach_m = corners.iter().map(|c| c.hit.distance).fold(self.reach_m[class.index()], f64::max);
+    /// nearest to that. Returns how much lower than its corner the lowest is.
+    fn settle_apart(&mut self, corners: &[Corner; 3], class: ClassId, limit_m: f64) -> f64 {
+        // A little more than to the nearest point: it is not lost to rounding.
+        let nearest_m = corners.iter().map(|c| c.hit.distance).fold(0.0, f64::max) * (1.0 + 1e-6);
+        let reach_m = nearest_m.max(self.reach_m[class.index()]);
         let around = self.around(corners, reach_m);
+        let mut below_m = f64::NEG_INFINITY;
         for c in corners {
             let (_, face) = self.best(&[*c; 3], &around, reach_m);
             self.raise(c.at, face, limit_m, reach_m);
+            below_m = below_m.max(self.best(&[*c; 3], &around, reach_m).0);
         }
         let held = &mut self.held[class.index()].reach_m;
         *held = held.max(reach_m + cover_radius(corners));
+        below_m
     }
 
     /// Tile triangles that may have points within reach of a face.

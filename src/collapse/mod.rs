@@ -22,9 +22,9 @@
 //! - The result does not depend on the number of threads: blocks depend on the surface alone.
 //!
 //! # Limits
-//! Samples bound the distance from the source to the cut, not back; `tiles::error` measures both. Closed islands shrink
-//! to a tetrahedron and stay; a tunnel that is no flap stays, unless `Rules::loop_reach_m` lets it close. A border that
-//! two blocks share joins a step later.
+//! Samples bound the distance from the source to the cut, not back; `tiles::error` measures both. In
+//! [`simplify`] closed islands shrink to a tetrahedron and stay ([`window::step`] drops them). A tunnel that is no flap
+//! stays, unless `Rules::loop_reach_m` lets it close. A border that two blocks share joins a step later.
 //!
 //! # Cost
 //! About 15 µs a source face down to 0.2 % of the faces (3.1 million faces, processor time on a busy machine). Of the
@@ -46,6 +46,7 @@ mod block;
 mod blocks;
 mod change;
 mod energy;
+mod islands;
 mod legal;
 mod log;
 mod place;

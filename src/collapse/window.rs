@@ -8,8 +8,9 @@
 //!    on a wall stands in both, at the same bits, and is one vertex again while both are in one window.
 //! 2. [`step`] welds the window's patches, locks what the outside uses, splits the faces into blocks of bounded size and
 //!    collapses each. Blocks lock the vertices they share and are cut elsewhere in every step, so nothing stays locked.
-//! 3. After a step faces take the class and weight that most of the samples riding on them have.
-//! 4. As scales grow, [`Patch::thinned`] lets one sample stand for others near it; it then has that much less to spare.
+//! 3. Small parts that hang together with nothing go when something else is within their limit (`islands`).
+//! 4. After a step faces take the class and weight that most of the samples riding on them have.
+//! 5. As scales grow, [`Patch::thinned`] lets one sample stand for others near it; it then has that much less to spare.
 //!
 //! # Cost
 //! Of the edges considered on a scan (0.77 million faces, nine steps) one in eight flips, more than half are refused by
@@ -28,6 +29,7 @@ use serde::{Deserialize, Serialize};
 
 use super::block::{BORDER, Block, Energy, LOCKED, Limit, Rules, Sample as Tracked};
 use super::blocks::{border_of, mark_walls, split_faces};
+use super::islands::drop_islands;
 use super::{MOST_CLASSES, NONE};
 use crate::geo::Rect;
 use crate::geo::hash::BitsMap;
@@ -263,6 +265,7 @@ pub fn step(
         collapses += done.collapses;
         window.merge(done, faces);
     }
+    drop_islands(&mut window.surface, &window.cell, &window.locked, settings.scale);
     window.vote(settings.classes);
     (window.into_patches(), collapses)
 }

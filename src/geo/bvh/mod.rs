@@ -77,8 +77,8 @@ impl Bvh {
     pub fn new(positions: &[DVec3], faces: &[[u32; 3]]) -> Self {
         let corners = |f: u32| faces[f as usize].map(|v| positions[v as usize]);
         let (mut low, mut high) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-        for p in positions {
-            (low, high) = (low.min(*p), high.max(*p));
+        for p in (0..faces.len() as u32).flat_map(corners) {
+            (low, high) = (low.min(p), high.max(p));
         }
         let center = if faces.is_empty() { DVec3::ZERO } else { (low + high) * 0.5 };
         let boxes: Vec<(Vec3, Vec3)> = (0..faces.len() as u32)

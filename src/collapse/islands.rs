@@ -8,8 +8,10 @@
 //!
 //! # Method
 //! 1. An island is a connected part of at most [`MOST_FACES`] faces, none of whose vertices the outside uses.
-//! 2. It goes when every sample on it finds some other surface of its own cell within its limit. Islands do not hold
-//!    each other's samples, so all are decided at once and in no order.
+//! 2. It goes when every sample on it finds some other surface of its own cell within its limit, that of no island: so
+//!    all are decided at once and in no order.
+//! 3. Of those that are left every other one goes if the rest is near: the crown of a tree is nothing but islands. Which
+//!    ones changes from step to step.
 //!
 //! # Promises
 //! Those of [`window`](super::window): a sample stays within t·b of its own cell's surface, and what neighbours share
@@ -26,14 +28,32 @@ use crate::geo::bvh::Bvh;
 const MOST_FACES: u32 = 16;
 
 /// Drops the islands of `surface` that the limit at `scale` allows to lose; `cell` is that of each face, and `locked`
-/// tells which vertices must stay. Dead faces have `NONE` as first corner.
-pub(super) fn drop_islands(surface: &mut Patch, cell: &[u32], locked: &[bool], scale: f64) {
+/// tells which vertices must stay. Dead faces have `NONE` as first corner. Of islands among themselves every other one
+/// may go, others if `odd`.
+pub(super) fn drop_islands(surface: &mut Patch, cell: &[u32], locked: &[bool], scale: f64, odd: bool) {
     let part = parts(surface);
-    let is_island = islands(surface, &part, locked);
+    let all = islands(surface, &part, locked);
+    drop_some(surface, cell, &part, &all, scale);
+    let mut count = usize::from(odd);
+    let mut number = vec![None; surface.positions.len()];
+    let mut is_next = |face: &[u32; 3]| {
+        let number = number[part[face[0] as usize] as usize].get_or_insert_with(|| {
+            count += 1;
+            count
+        });
+        *number % 2 == 0
+    };
+    let faces = surface.faces.iter().zip(all);
+    let half: Vec<bool> = faces.map(|(face, is_island)| is_island && face[0] != NONE && is_next(face)).collect();
+    drop_some(surface, cell, &part, &half, scale);
+}
+
+/// Drops those parts of `is_island`'s faces whose samples are all near something that is none.
+fn drop_some(surface: &mut Patch, cell: &[u32], part: &[u32], is_island: &[bool], scale: f64) {
     if !is_island.contains(&true) {
         return;
     }
-    let lands = Land::of_cells(surface, cell, &is_island);
+    let lands = Land::of_cells(surface, cell, is_island);
     let riders: Vec<usize> = (0..surface.rides.len()).filter(|&s| is_island[surface.rides[s] as usize]).collect();
     let home = |&s: &usize| {
         let cell = cell[surface.rides[s] as usize] as usize;
@@ -173,7 +193,7 @@ mod tests {
         for (scale, faces) in [(4.9, 40), (5.1, 36), (32.4, 36), (32.6, 32)] {
             let mut patch = cell(&floats);
             let vertices = patch.positions.len();
-            drop_islands(&mut patch, &[0; 40], &vec![false; vertices], scale);
+            drop_islands(&mut patch, &[0; 40], &vec![false; vertices], scale, false);
             assert_eq!(living(&patch).len(), faces, "at {scale}");
             for (sample, &ride) in patch.samples.iter().zip(&patch.rides) {
                 let tree = Bvh::new(&patch.positions, &[patch.faces[ride as usize]]);
@@ -187,17 +207,22 @@ mod tests {
     fn what_a_sample_stands_for_is_within_the_limit_too() {
         let mut patch = cell(&[DVec3::new(4.0, 3.5, 0.25)]);
         patch.samples.last_mut().unwrap().reach_m = 0.3;
-        drop_islands(&mut patch, &[0; 36], &[false; 29], 7.9);
+        drop_islands(&mut patch, &[0; 36], &[false; 29], 7.9, false);
         assert_eq!(living(&patch).len(), 36);
-        drop_islands(&mut patch, &[0; 36], &[false; 29], 8.1);
+        drop_islands(&mut patch, &[0; 36], &[false; 29], 8.1, false);
         assert_eq!(living(&patch).len(), 32);
     }
 
     #[test]
-    fn an_island_is_no_home_for_another() {
-        let mut patch = cell(&[DVec3::new(4.0, 4.0, 5.0), DVec3::new(4.6, 4.0, 5.0)]);
-        drop_islands(&mut patch, &[0; 40], &[false; 33], 20.0);
-        assert_eq!(living(&patch).len(), 40, "both are far from the ground");
+    fn of_islands_far_from_everything_else_every_other_one_goes() {
+        let row: Vec<DVec3> = (0..6).map(|i| DVec3::new(2.0 + 0.6 * f64::from(i), 4.0, 5.0)).collect();
+        let mut patch = cell(&row);
+        drop_islands(&mut patch, &[0; 56], &[false; 49], 20.0, false);
+        assert_eq!(living(&patch)[32..], [32, 33, 34, 35, 40, 41, 42, 43, 48, 49, 50, 51]);
+        drop_islands(&mut patch, &[0; 56], &[false; 49], 20.0, true);
+        assert_eq!(living(&patch)[32..], [40, 41, 42, 43]);
+        drop_islands(&mut patch, &[0; 56], &[false; 49], 20.0, true);
+        assert_eq!(living(&patch).len(), 36, "one has no other beside it");
     }
 
     #[test]
@@ -205,7 +230,7 @@ mod tests {
         let mut patch = cell(&[DVec3::new(4.0, 4.0, 0.25)]);
         let mut locked = vec![false; 29];
         locked[27] = true;
-        drop_islands(&mut patch, &[0; 36], &locked, 20.0);
+        drop_islands(&mut patch, &[0; 36], &locked, 20.0, false);
         assert_eq!(living(&patch).len(), 36);
     }
 
@@ -225,7 +250,7 @@ mod tests {
         for (scale, drop, faces) in [(4.9, 0.0, 70), (5.1, 0.0, 64), (5.1, 5.0, 70)] {
             let mut both = Patch::joined(vec![half(0.0, 7.7, 0.0), half(8.0, 8.3, drop)]);
             let vertices = both.positions.len();
-            drop_islands(&mut both, &cells, &vec![false; vertices], scale);
+            drop_islands(&mut both, &cells, &vec![false; vertices], scale, false);
             assert_eq!(living(&both).len(), faces, "at {scale}, the ground {drop} m lower on one side");
         }
     }

@@ -265,7 +265,7 @@ pub fn step(
         collapses += done.collapses;
         window.merge(done, faces);
     }
-    drop_islands(&mut window.surface, &window.cell, &window.locked, settings.scale);
+    drop_islands(&mut window.surface, &window.cell, &window.locked, settings.scale, settings.odd);
     window.vote(settings.classes);
     (window.into_patches(), collapses)
 }

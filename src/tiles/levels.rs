@@ -92,6 +92,10 @@ pub const LEAST_REDUCTION: f64 = 0.3;
 /// it is, or the surface would be spoilt for faces that it cannot lose.
 const STALLED_SHARE: f64 = 0.1;
 const MOST_STALLED: u32 = 2;
+/// A surface whose heaviest tile is this many times too heavy has more patience: separate boxes lose nothing for as long
+/// as they are larger than the limit, and a viewer would rather wait for their scale than load them all.
+const TOO_HEAVY: usize = 2;
+const MOST_STALLED_HEAVY: u32 = 16;
 /// Lighter roots are added at most this often.
 pub const MOST_EXTRA_ROOTS: u32 = 3;
 
@@ -127,6 +131,27 @@ impl Progress {
         self.stalled = if lost <= STALLED_SHARE * self.count as f64 { self.stalled + 1 } else { 0 };
         self.count = faces;
         let enough = faces as f64 <= self.before as f64 * (1.0 - LEAST_REDUCTION) && heaviest <= self.most;
-        enough || self.stalled >= MOST_STALLED
+        let patience = if heaviest > TOO_HEAVY * self.most { MOST_STALLED_HEAVY } else { MOST_STALLED };
+        enough || self.stalled >= patience
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// How many steps of `lost` faces each a level of 100 000 faces goes on for, one tile having a share of them.
+    fn steps(lost: usize, share: usize) -> usize {
+        let mut progress = Progress::new(100_000, 30_000);
+        (1..).find(|&step| progress.is_done(100_000 - lost * step, (100_000 - lost * step) / share)).unwrap()
+    }
+
+    #[test]
+    fn a_level_is_done_when_it_is_light_or_gets_no_lighter() {
+        assert_eq!(steps(20_000, 1), 4, "30 000 are left in the heaviest");
+        assert_eq!(steps(20_000, 4), 2, "light from the start, but not worth a level before");
+        assert_eq!(steps(0, 2), 2, "no tile is very heavy, and nothing collapses");
+        assert_eq!(steps(0, 1), 16, "too heavy to be shown");
+        assert_eq!(steps(5_000, 1), 8, "down to twice what a tile may have, then no further");
     }
 }

@@ -84,12 +84,76 @@ fn pairs(town: &Town) -> Vec<Pair> {
     pairs
 }
 
-/// Requires that no gap is wider than stated, nor than the deeper skirt of the two tiles beside it; of tiles of different
-/// levels how many there are, and the widest gap, metres.
-fn require_stated_gaps(town: &Town) -> (usize, f64) {
-    let found: Vec<(f64, bool)> = pairs(town)
+/// How many of some edges are above a point of the wall.
+fn above(edges: &[[DVec3; 2]], at: DVec3, along: usize) -> usize {
+    let is_above = |[a, b]: &&[DVec3; 2]| {
+        (a[along] <= at[along]) != (b[along] <= at[along])
+            && a.z + (b.z - a.z) * (at[along] - a[along]) / (b[along] - a[along]) > at.z
+    };
+    edges.iter().filter(is_above).count()
+}
+
+fn nearest_m(edges: &[[DVec3; 2]], at: DVec3) -> f64 {
+    let to = |[a, b]: &[DVec3; 2]| (closest_on_triangle(at, &[*a, *b, *b]) - at).length();
+    edges.iter().map(to).fold(f64::INFINITY, f64::min)
+}
+
+/// What was found in all gaps of a tileset.
+#[derive(Debug, Default)]
+struct Gaps {
+    /// Pairs of tiles of two levels.
+    mixed: usize,
+    /// The widest gap between two of them, metres.
+    widest_m: f64,
+    /// Points between two borders.
+    between: usize,
+    /// Of them, those that no skirt covers.
+    open: usize,
+}
+
+/// Points on lines from a border to the nearest of the other that lie between both, and how many of them no skirt hides.
+fn between(town: &Town, pair: &Pair, of: &[Vec<[DVec3; 2]>; 2]) -> (usize, usize) {
+    let Pair { tiles, axis, place, span } = pair;
+    let along = 1 - axis;
+    let (mut positions, mut faces) = (Vec::new(), Vec::new());
+    for tile in tiles.map(|t| &town.nodes[t].tile) {
+        for face in &tile.skirts {
+            let corners = face.map(|v| tile.positions[v as usize]);
+            if corners.iter().all(|p| (p[*axis] - place).abs() < ROUNDING_M) {
+                let first = positions.len() as u32;
+                positions.extend(corners);
+                faces.push([first, first + 1, first + 2]);
+            }
+        }
+    }
+    let skirts = Bvh::new(&positions, &faces);
+    let (mut seen, mut open) = (0, 0);
+    for (from, to) in [(&of[0], &of[1]), (&of[1], &of[0])] {
+        let ends: Vec<DVec3> = to.iter().flatten().copied().collect();
+        let lines: Vec<[u32; 3]> = (0..to.len() as u32).map(|e| [2 * e, 2 * e + 1, 2 * e + 1]).collect();
+        let tree = Bvh::new(&ends, &lines);
+        for [a, b] in from {
+            let Some(hit) = tree.closest((*a + *b) * 0.5, f64::INFINITY) else { continue };
+            for share in [0.1, 0.5, 0.9] {
+                let at = ((*a + *b) * 0.5).lerp(hit.point, share);
+                let is_inside = (span[0]..=span[1]).contains(&at[along]);
+                if !is_inside || hit.distance < 0.01 || of.iter().map(|e| above(e, at, along)).sum::<usize>() % 2 == 0 {
+                    continue;
+                }
+                seen += 1;
+                open += usize::from(skirts.closest(at, 1e-4).is_none() && nearest_m(from, at) > HAIR_M);
+            }
+        }
+    }
+    (seen, open)
+}
+
+/// Requires that no gap is wider than stated.
+fn require_stated_gaps(town: &Town) -> Gaps {
+    let found: Vec<(f64, bool, (usize, usize))> = pairs(town)
         .into_par_iter()
-        .filter_map(|Pair { tiles: [a, b], axis, place, span }| {
+        .filter_map(|pair| {
+            let Pair { tiles: [a, b], axis, place, span } = pair;
             let of = [a, b].map(|n| border(&town.nodes[n], axis, place));
             if of.iter().any(Vec::is_empty) {
                 return None;
@@ -97,27 +161,30 @@ fn require_stated_gaps(town: &Town) -> (usize, f64) {
             let step_m = 0.02;
             let both = [gap_m(&of[0], &of[1], 1 - axis, span, step_m), gap_m(&of[1], &of[0], 1 - axis, span, step_m)];
             let measured_m = both[0].max(both[1]);
-            let number = |n: usize, id: &str| town.nodes[n].number(id).expect("a number");
-            let (uris, stated_m) =
-                ([a, b].map(|n| &town.nodes[n].uri), number(a, "wallDeviation").min(number(b, "wallDeviation")));
+            let stated = |n: usize| town.nodes[n].number("wallDeviation").expect("a number");
+            let (uris, stated_m) = ([a, b].map(|n| &town.nodes[n].uri), stated(a).min(stated(b)));
             assert!(measured_m <= stated_m + ROUNDING_M, "{uris:?}: {measured_m} m apart, stated {stated_m} m");
-            let skirt_m = number(a, "skirtDepth").max(number(b, "skirtDepth"));
-            assert!(measured_m <= skirt_m + ROUNDING_M, "{uris:?}: {both:?} m apart, skirts of {skirt_m} m");
-            Some((measured_m, town.nodes[a].level != town.nodes[b].level))
+            Some((measured_m, town.nodes[a].level != town.nodes[b].level, between(town, &pair, &of)))
         })
         .collect();
-    let mixed: Vec<f64> = found.iter().filter(|f| f.1).map(|f| f.0).collect();
-    let widest_m = mixed.iter().copied().fold(0.0, f64::max);
-    println!("{} pairs, {} of two levels, up to {widest_m:.3} m apart", found.len(), mixed.len());
-    (mixed.len(), widest_m)
+    let mut gaps = Gaps::default();
+    for (measured_m, is_mixed, (between, open)) in found {
+        gaps.mixed += usize::from(is_mixed);
+        gaps.widest_m = gaps.widest_m.max(measured_m);
+        gaps.between += between;
+        gaps.open += open;
+    }
+    println!("{gaps:?}");
+    gaps
 }
 
 #[test]
-fn no_gap_between_tiles_that_can_meet_is_wider_than_stated_or_than_their_skirts() {
+fn no_gap_between_tiles_that_can_meet_is_wider_than_stated_and_skirts_cover_them() {
     for town in [town(), flight_town()] {
-        let (mixed, widest_m) = require_stated_gaps(town);
-        assert!(mixed > 20, "{mixed} pairs of different levels");
-        assert!(widest_m > 0.05, "levels that never differ prove nothing: {widest_m} m");
+        let gaps = require_stated_gaps(town);
+        assert!(gaps.mixed > 20, "{gaps:?}");
+        assert!(gaps.widest_m > 0.05, "levels that never differ prove nothing: {gaps:?}");
+        assert!(gaps.between > 500 && 50 * gaps.open <= gaps.between, "{gaps:?}");
     }
 }
 
@@ -234,20 +301,9 @@ impl<'a> Walls<'a> {
             if !(t > 0.0 && (span[0] - HAIR_M..=span[1] + HAIR_M).contains(&at[along])) {
                 return false;
             }
-            let near_m = |edges: &Vec<[DVec3; 2]>| {
-                let to = |[a, b]: &[DVec3; 2]| (closest_on_triangle(at, &[*a, *b, *b]) - at).length();
-                edges.iter().map(to).fold(f64::INFINITY, f64::min)
-            };
-            let above = |edges: &Vec<[DVec3; 2]>| {
-                let is_above = |[a, b]: &&[DVec3; 2]| {
-                    (a[along] <= at[along]) != (b[along] <= at[along])
-                        && a.z + (b.z - a.z) * (at[along] - a[along]) / (b[along] - a[along]) > at.z
-                };
-                edges.iter().filter(is_above).count()
-            };
-            let nearest_m = near_m(&borders[0]).min(near_m(&borders[1]));
+            let nearest_m = nearest_m(&borders[0], at).min(nearest_m(&borders[1], at));
             let wide_m = tiles.map(|n| self.town.nodes[n].number("wallDeviation").expect("a number"));
-            let is_between = (above(&borders[0]) + above(&borders[1])) % 2 == 1;
+            let is_between = borders.iter().map(|edges| above(edges, at, along)).sum::<usize>() % 2 == 1;
             nearest_m <= HAIR_M || is_between && nearest_m <= wide_m[0].max(wide_m[1])
         })
     }

@@ -184,7 +184,7 @@ fn no_gap_between_tiles_that_can_meet_is_wider_than_stated_and_skirts_cover_them
         let gaps = require_stated_gaps(town);
         assert!(gaps.mixed > 20, "{gaps:?}");
         assert!(gaps.widest_m > 0.05, "levels that never differ prove nothing: {gaps:?}");
-        assert!(gaps.between > 500 && 50 * gaps.open <= gaps.between, "{gaps:?}");
+        assert!(gaps.between > 5000 && 1000 * gaps.open <= gaps.between, "{gaps:?}");
     }
 }
 
@@ -372,13 +372,15 @@ fn random_cuts_of_a_real_scan_show_no_background_either() {
         ["--set", "levels.leaf_faces=8000", "--set", "levels.tile_faces=6000", "--set", "levels.root_faces=3000"];
     let run = build(&input, &folder, &sets).wants(0);
     let town = Town::of_leaves(&folder, run);
-    require_stated_gaps(&town);
+    let gaps = require_stated_gaps(&town);
+    // Where the surface itself ends near a wall, what lies between two borders is a guess.
+    assert!(100 * gaps.open <= gaps.between, "{gaps:?}");
     let shown = show(&town, 200);
     assert!(shown.mixed > 100, "{shown:?}");
     assert!(shown.bare_px > 200, "the test sees nothing: {shown:?}");
     assert_eq!(shown.open_px, 0, "{shown:?}");
     // Leaves of trees against the sky.
-    assert!(20 * shown.past_px <= shown.bare_px, "{shown:?}");
+    assert!(40 * shown.past_px <= shown.bare_px, "{shown:?}");
 }
 
 #[test]

@@ -8,6 +8,8 @@
 //! 3. each border vertex in the seam (or between two that are) to the nearest border edge of the neighbour: the gap;
 //!    a vertex that meets one neighbour is not held against another, and where the neighbour's border is met by this
 //!    tile's all the same, it is the surface that is open and nothing was torn
+//! 4. a vertex that only touches the seam, or stands off it, is held against the finest surface first: if that is open
+//!    there, more than twice as near as the neighbour's border, the vertex is of that rim and not of the seam
 //!
 //! # Limits
 //! A vertex further than [`SeamConfig::reach_m`] from the neighbour's border has no partner and does not count: the
@@ -200,11 +202,16 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
     let pairs = neighbours(tileset, borders, &between);
     let trees: Vec<Option<Bvh>> = borders.par_iter().map(tree).collect();
     let met = met(borders, &trees, &pairs, config);
+    let finest = (0..borders.len()).filter(|&t| !cover.has_finer(t));
+    let rim = tree(&rim(finest.map(|t| (&borders[t], &met[t][..]))));
     let found: Vec<([usize; 2], [Found; 2])> = pairs
         .into_par_iter()
         .map(|[a, b]| {
+            // Of the finest surface, what is torn there is its rim too.
+            let rim = rim.as_ref().filter(|_| between(a, b) != Some(Between::Finest));
             let one = |a: usize, b: usize| {
-                gaps([&borders[a], &borders[b]], [&met[a], &met[b]], [trees[a].as_ref(), trees[b].as_ref()], config)
+                let trees = [trees[a].as_ref(), trees[b].as_ref()];
+                gaps([&borders[a], &borders[b]], [&met[a], &met[b]], trees, rim, config)
             };
             ([a, b], [one(a, b), one(b, a)])
         })
@@ -315,6 +322,19 @@ fn met(borders: &[Border], trees: &[Option<Bvh>], pairs: &[[usize; 2]], config: 
     borders.par_iter().zip(&neighbours).map(of_tile).collect()
 }
 
+/// The edges of some borders that no neighbour meets: where the surface itself ends.
+fn rim<'a>(borders: impl Iterator<Item = (&'a Border, &'a [bool])>) -> Border {
+    let mut rim = Border::default();
+    for (border, met) in borders {
+        for edge in border.edges.iter().filter(|edge| edge.iter().any(|v| !met[*v as usize])) {
+            let first = rim.points.len() as u32;
+            rim.points.extend(edge.map(|v| border.points[v as usize]));
+            rim.edges.push([first, first + 1]);
+        }
+    }
+    rim
+}
+
 /// Where two boxes overlap, and a little more; empty if they do not.
 fn seam(a: &Aabb, b: &Aabb, by: f64) -> Aabb {
     Aabb { min: a.min.max(b.min) - by, max: a.max.min(b.max) + by }
@@ -325,11 +345,13 @@ fn tree(border: &Border) -> Option<Bvh> {
     (!faces.is_empty()).then(|| Bvh::new(&border.points, &faces))
 }
 
-/// What the first border finds at the second; both with their trees and what [`met`] says.
+/// What the first border finds at the second; both with their trees and what [`met`] says. `rim` is where the finest
+/// surface ends.
 fn gaps(
     [of, other]: [&Border; 2],
     [met, other_met]: [&[bool]; 2],
     trees: [Option<&Bvh>; 2],
+    rim: Option<&Bvh>,
     config: &SeamConfig,
 ) -> Found {
     let mut found = Found::default();
@@ -347,10 +369,13 @@ fn gaps(
     let missed: Vec<DVec3> = lone.map(|(p, _)| *p).collect();
     let is_missed = |p: DVec3| missed.iter().any(|q| q.distance_squared(p) <= MISSED_M * MISSED_M);
     let mut counts = is_in.clone();
+    // With none of its neighbours in the seam a vertex may be where the border of a hole touches it.
+    let mut is_doubtful = vec![true; of.points.len()];
     for group in links.chunk_by(|a, b| a.0 == b.0) {
         let in_seam = group.iter().filter(|(_, n)| is_in[*n as usize]).count();
         let own = group[0].0 as usize;
         let p = of.points[own];
+        is_doubtful[own] = in_seam == 0 || !is_in[own];
         counts[own] |= in_seam >= 2 && zone.contains(p, MOVED_M) && is_missed(p);
     }
     let gap_at = |v: usize| {
@@ -360,7 +385,9 @@ fn gaps(
         }
         // What the neighbour has there this tile has too: the surface itself is open and its border only ends at the seam.
         let is_of_surface = || own.closest(hit.point, config.match_m).is_some();
-        (!met[v] && !is_of_surface()).then_some(hit.distance)
+        let is_of_rim =
+            || is_doubtful[v] && rim.is_some_and(|rim| rim.closest(of.points[v], 0.5 * hit.distance).is_some());
+        (!met[v] && !is_of_surface() && !is_of_rim()).then_some(hit.distance)
     };
     let gap: Vec<Option<f64>> = (0..of.points.len()).map(|v| counts[v].then(|| gap_at(v)).flatten()).collect();
     for (v, gap) in gap.iter().enumerate() {
@@ -404,7 +431,7 @@ mod tests {
         let borders = [a, b].map(Border::clone);
         let met = met(&borders, &trees, &[[0, 1]], &config);
         let one = |a: usize, b: usize| {
-            gaps([&borders[a], &borders[b]], [&met[a], &met[b]], [trees[a].as_ref(), trees[b].as_ref()], &config)
+            gaps([&borders[a], &borders[b]], [&met[a], &met[b]], [trees[a].as_ref(), trees[b].as_ref()], None, &config)
         };
         [one(0, 1), one(1, 0)]
     }
@@ -459,6 +486,35 @@ mod tests {
         let [a, b] = borders(&torn);
         let gap = between(&a, &b)[0].worst.expect("a gap").0;
         assert!((0.04..0.06).contains(&gap), "{gap}");
+    }
+
+    #[test]
+    fn a_rim_that_only_touches_the_seam_is_no_crack() {
+        // The left tile has a hole whose tip all but reaches the seam, between two vertices on it.
+        let mut points = vec![DVec3::ZERO, DVec3::X, DVec3::new(1.0, 4.0, 0.0), DVec3::new(0.0, 4.0, 0.0)];
+        points.extend([DVec3::new(0.995, 2.0, 0.0), DVec3::new(0.3, 1.5, 0.0), DVec3::new(0.3, 2.5, 0.0)]);
+        let faces = vec![[0, 1, 5], [1, 4, 5], [1, 2, 4], [2, 6, 4], [2, 3, 6], [3, 0, 5], [3, 5, 6]];
+        let left = Surface { positions: points, faces, class: None };
+        let left = Border::of(&left, Aabb::of(left.positions.iter().copied()));
+        // The right one has nothing there to be near to.
+        let mut right = strip(1.0, DVec3::ZERO);
+        right.points.iter_mut().for_each(|p| p.z += 0.3 * f64::from(p.x == 1.0 && p.y > 0.5 && p.y < 3.5));
+        let trees = [tree(&left), tree(&right)];
+        let borders = [left, right];
+        let met = met(&borders, &trees, &[[0, 1]], &SeamConfig::default());
+        let widest = |rim: Option<&Bvh>| {
+            let trees = [trees[0].as_ref(), trees[1].as_ref()];
+            let all = gaps([&borders[0], &borders[1]], [&met[0], &met[1]], trees, rim, &SeamConfig::default());
+            all.worst.map_or(0.0, |w| w.0)
+        };
+        // What the finest tile has is a little elsewhere.
+        let mut finest = borders[0].clone();
+        finest.points.iter_mut().for_each(|p| p.z += 0.05);
+        let of_hole = rim([(&finest, &met[0][..])].into_iter());
+        assert!((0.2..0.31).contains(&widest(None)), "{}", widest(None));
+        assert!(widest(tree(&of_hole).as_ref()) < 0.01, "{}", widest(tree(&of_hole).as_ref()));
+        let elsewhere = Border { points: of_hole.points.iter().map(|p| *p + 5.0).collect(), ..of_hole };
+        assert!(widest(tree(&elsewhere).as_ref()) > 0.2, "a rim elsewhere explains nothing");
     }
 
     #[test]

@@ -99,9 +99,11 @@ pub(super) fn nodes(
     }
     hierarchy.make()?;
     let Hierarchy { steps, nodes, .. } = hierarchy;
-    let last = nodes.last().map_or(0.0, |n| n.scale);
+    let mut scales: Vec<f64> = nodes.iter().map(|n| n.scale).filter(|scale| *scale > 0.0).collect();
+    scales.dedup();
+    let scales = scales.iter().map(|scale| format!("{scale:.2}")).collect::<Vec<_>>().join(", ");
     let (collapses, count) = (steps.collapses, steps.count());
-    stage.finish(format!("{collapses} collapses in {count} steps to scale {last:.2}, {} tiles", nodes.len()));
+    stage.finish(format!("{collapses} collapses in {count} steps, {} tiles, levels at scale {scales}", nodes.len()));
     Ok(nodes)
 }
 
@@ -155,7 +157,9 @@ impl Hierarchy<'_> {
             let last = self.scale;
             self.steps.step(last, depth)?;
             self.scale *= self.job.config.levels.step_ratio;
-            let inner = self.steps.cells().filter(|(cell, _)| tree.0[*cell as usize].children.is_some());
+            // A model of one cell has no inner one, but its light root is to be light.
+            let has_content = |cell: u32| cell == 0 || tree.0[cell as usize].children.is_some();
+            let inner = self.steps.cells().filter(|(cell, _)| has_content(*cell));
             let heaviest = inner.map(|(_, faces)| faces as usize).max().unwrap_or(0);
             if progress.is_done(self.steps.faces(), heaviest) {
                 return Ok(last);

@@ -9,6 +9,9 @@
 //! 2. Every point of a neighbour's polyline that lies inside this tile's solid (the inner side of its nearest edge)
 //!    demands a skirt as deep as its distance from that edge. Segments are halved until the largest distance is certain
 //!    ([`CERTAIN_M`], [`CERTAIN_SHARE`]).
+//!    What sticks out of a neighbour, a fence that it lost, has no such point near its top: there the demand is the own
+//!    point's distance, but no more than half of how thick the solid is: the circle that touches the border there from
+//!    inside and crosses it nowhere.
 //! 3. A skirt is a strip in the wall: from the edge along the wall into the solid, at right angles to the edge. Below
 //!    ground it hangs down, behind a façade that crosses the wall it goes into the building, above the soffit of an eave
 //!    it goes up. Corners are mitred, so that strips join.
@@ -45,6 +48,11 @@ const MARGIN_SHARE: f64 = 0.05;
 const MARGIN_M: f64 = 1e-3;
 /// Borders nearer than this are the same, metres: the grid of the source.
 const SAME_M: f64 = 1e-6;
+/// Circles shrink at most so often, and are small enough within this share.
+const MOST_SHRINKS: u32 = 32;
+const SHRUNK_SHARE: f64 = 1e-3;
+/// An edge that sticks out of a neighbour is looked at in so many places.
+const PLACES: u32 = 5;
 /// A mitre is at most this many times as long as the skirt is deep.
 const LONGEST_MITRE: f64 = 3.0;
 
@@ -243,17 +251,20 @@ struct Wall {
 /// The hem of every tile. `borders` are those of all tiles of the tree.
 pub fn hems(borders: &[Border], skirts: Skirts) -> Vec<Hem> {
     // Tiles by the plane and the side from which they touch it.
-    let mut by_wall: BTreeMap<(usize, u64), Vec<usize>> = BTreeMap::new();
+    let mut by_wall: ByWall = BTreeMap::new();
     let mut work: Vec<(usize, usize)> = Vec::new();
     for (tile, border) in borders.iter().enumerate() {
         for side in (0..4).filter(|&s| !border.sides[s].is_empty()) {
             if let Some((wall, _)) = border.wall(side) {
-                by_wall.entry((side, (wall + 0.0).to_bits())).or_default().push(tile);
+                by_wall.entry((side, (wall + 0.0).to_bits())).or_default().push((tile, work.len()));
                 work.push((tile, side));
             }
         }
     }
-    let walls: Vec<Wall> = work.par_iter().map(|&(tile, side)| demands(borders, &by_wall, tile, side)).collect();
+    let trees: Vec<Bvh> = work.par_iter().map(|&(tile, side)| tree(&borders[tile].sides[side])).collect();
+    let walls: Vec<Wall> = (work.par_iter().zip(&trees))
+        .map(|(&(tile, side), own)| demands(borders, &by_wall, (tile, side), own, &trees))
+        .collect();
     let mut hems = vec![Hem::default(); borders.len()];
     for wall in &walls {
         for &(other, distance_m) in &wall.pairs {
@@ -273,18 +284,24 @@ pub fn hems(borders: &[Border], skirts: Skirts) -> Vec<Hem> {
     hems
 }
 
-fn demands(borders: &[Border], by_wall: &BTreeMap<(usize, u64), Vec<usize>>, tile: usize, side: usize) -> Wall {
+/// Tiles that touch a plane from a side, with the place of their tree.
+type ByWall = BTreeMap<(usize, u64), Vec<(usize, usize)>>;
+
+fn tree(edges: &[Edge]) -> Bvh {
+    let positions: Vec<DVec3> = edges.iter().flat_map(|e| e.ends).collect();
+    let faces: Vec<[u32; 3]> = (0..edges.len() as u32).map(|e| [2 * e, 2 * e + 1, 2 * e + 1]).collect();
+    Bvh::new(&positions, &faces)
+}
+
+fn demands(borders: &[Border], by_wall: &ByWall, (tile, side): (usize, usize), tree: &Bvh, trees: &[Bvh]) -> Wall {
     let own = &borders[tile];
     let edges = &own.sides[side];
     let mut wall = Wall { tile, side, demand_m: vec![0.0; edges.len()], pairs: Vec::new() };
     let across = side ^ 1;
     let Some((place, span)) = own.wall(side) else { return wall };
     let Some(others) = by_wall.get(&(across, (place + 0.0).to_bits())) else { return wall };
-    let positions: Vec<DVec3> = edges.iter().flat_map(|e| e.ends).collect();
-    let faces: Vec<[u32; 3]> = (0..edges.len() as u32).map(|e| [2 * e, 2 * e + 1, 2 * e + 1]).collect();
-    let tree = Bvh::new(&positions, &faces);
     let along = 1 - SIDES[side].0;
-    for &other in others {
+    for &(other, other_tree) in others {
         let Some((_, other_span)) = borders[other].wall(across) else { continue };
         let shared = [span[0].max(other_span[0]), span[1].min(other_span[1])];
         if shared[0] >= shared[1] {
@@ -294,8 +311,14 @@ fn demands(borders: &[Border], by_wall: &BTreeMap<(usize, u64), Vec<usize>>, til
         let mut widest_m = 0.0f64;
         for edge in &borders[other].sides[across] {
             if let Some(ends) = clipped(edge.ends, along, shared) {
-                let mut probe = Probe { tree: &tree, edges, demand_m: &mut raw_m, widest_m: &mut widest_m };
+                let mut probe = Probe { tree, edges, demand_m: &mut raw_m, widest_m: &mut widest_m };
                 probe.segment(ends.map(|p| probe.hit(p)), 0);
+            }
+        }
+        let beside = Beside { edges: &borders[other].sides[across], tree: &trees[other_tree] };
+        for (edge, raw_m) in edges.iter().zip(&mut raw_m) {
+            if let Some(ends) = clipped(edge.ends, along, shared) {
+                *raw_m = beside.sticking_out_m(edge, ends, tree, *raw_m);
             }
         }
         let rounding_m = own.rounding_m + borders[other].rounding_m;
@@ -308,6 +331,41 @@ fn demands(borders: &[Border], by_wall: &BTreeMap<(usize, u64), Vec<usize>>, til
         wall.pairs.push((other, widest_m + rounding_m));
     }
     wall
+}
+
+/// A border on the other side of the wall.
+struct Beside<'a> {
+    edges: &'a [Edge],
+    tree: &'a Bvh,
+}
+
+impl Beside<'_> {
+    /// How deep a skirt has to be under the part `ends` of an edge that sticks out of this border's solid, if that is
+    /// more than `known_m`; `own` are the border's edges that the edge is one of.
+    fn sticking_out_m(&self, edge: &Edge, ends: [DVec3; 2], own: &Bvh, known_m: f64) -> f64 {
+        (0..PLACES).fold(known_m, |deepest_m, i| {
+            let p = ends[0].lerp(ends[1], f64::from(i) / f64::from(PLACES - 1));
+            let Some(hit) = self.tree.closest(p, f64::INFINITY) else { return deepest_m };
+            let sticks_out = hit.distance > deepest_m.max(SAME_M) && !is_inside(&self.edges[hit.face as usize], p);
+            if sticks_out { deepest_m.max(half_thickness_m(p, edge.inward, own, hit.distance)) } else { deepest_m }
+        })
+    }
+}
+
+/// Radius of the largest circle through a point of a border, with its centre `inward` of it, that no edge crosses; at most
+/// `most_m`. What is nearest to the point is no further from it.
+fn half_thickness_m(p: DVec3, inward: DVec3, own: &Bvh, most_m: f64) -> f64 {
+    let mut radius_m = most_m;
+    for _ in 0..MOST_SHRINKS {
+        let Some(hit) = own.closest(p + inward * radius_m, f64::INFINITY) else { break };
+        let offset = hit.point - p;
+        let ahead_m = offset.dot(inward);
+        if hit.distance >= radius_m * (1.0 - SHRUNK_SHARE) || ahead_m <= 0.0 {
+            break;
+        }
+        radius_m = offset.length_squared() / (2.0 * ahead_m);
+    }
+    radius_m
 }
 
 /// The part of a segment between two places along the wall.
@@ -386,16 +444,20 @@ impl Probe<'_> {
 
     /// A point on the inner side of an edge has to be reached by its skirt.
     fn demand(&mut self, e: usize, at: DVec3, distance_m: f64) {
-        let edge = &self.edges[e];
-        let foot = nearest(edge.ends, at);
-        let inward = match edge.ends.iter().position(|p| (*p - foot).length_squared() < SAME_M * SAME_M) {
-            Some(end) => edge.inward_at_ends[end],
-            None => edge.inward,
-        };
-        if (at - foot).dot(inward) > 0.0 {
+        if is_inside(&self.edges[e], at) {
             self.demand_m[e] = self.demand_m[e].max(distance_m);
         }
     }
+}
+
+/// Whether a point of the wall is on the inner side of an edge, its nearest.
+fn is_inside(edge: &Edge, at: DVec3) -> bool {
+    let foot = nearest(edge.ends, at);
+    let inward = match edge.ends.iter().position(|p| (*p - foot).length_squared() < SAME_M * SAME_M) {
+        Some(end) => edge.inward_at_ends[end],
+        None => edge.inward,
+    };
+    (at - foot).dot(inward) > 0.0
 }
 
 fn nearest([a, b]: [DVec3; 2], p: DVec3) -> DVec3 {
@@ -517,6 +579,38 @@ mod tests {
             let (high, low) = if a > b { (&hems[0], b) } else { (&hems[1], a) };
             assert!((a - b).abs() < 1e-9 || foot(high, s) < low, "at {s}: {a} {b} {}", foot(high, s));
         }
+    }
+
+    #[test]
+    fn a_fence_that_the_neighbour_lost_is_closed_to_its_top() {
+        // 3 m high, 0.4 m thick, of several edges on each side.
+        let places = [0.0, 1.8, 1.8, 1.8, 1.8, 2.2, 2.2, 2.2, 2.2, 4.0];
+        let heights = [0.0, 0.0, 1.0, 2.0, 3.0, 3.0, 2.0, 1.0, 0.0, 0.0];
+        let mut fence = strip(&heights, true, 0.0, 4.0);
+        (0..places.len()).for_each(|i| (0..2).for_each(|k| fence.0[2 * i + k].y = places[i]));
+        let flat = strip(&[0.0, 0.0], false, 0.0, 4.0);
+        let hems = hems(&[border(&fence), border(&flat)], Skirts::Auto);
+        let on_wall = hems[0].strips.iter().filter(|s| s.below.iter().all(|p| p.x == 0.0));
+        let strips: Vec<[DVec3; 4]> = on_wall
+            .map(|s| {
+                let face = fence.1[s.face as usize];
+                let [a, b] = [0, 1].map(|k| fence.0[face[(s.corner as usize + k) % 3] as usize]);
+                [a, b, s.below[1], s.below[0]]
+            })
+            .collect();
+        let covers = |p: DVec3, s: &[DVec3; 4]| {
+            let near = |t: [DVec3; 3]| (closest_on_triangle(p, &t) - p).length() < 1e-9;
+            near([s[0], s[1], s[2]]) || near([s[0], s[2], s[3]])
+        };
+        for i in 1..30 {
+            for y in [1.82, 1.9, 1.99, 2.05, 2.15] {
+                let p = DVec3::new(0.0, y, 0.1 * f64::from(i));
+                assert!(strips.iter().any(|s| covers(p, s)), "{p}");
+            }
+        }
+        let widest_y = strips.iter().flatten().map(|p| (p.y - 2.0).abs()).filter(|y| *y < 1.0).fold(0.0, f64::max);
+        assert!(widest_y < 0.23, "the skirts of one side do not come out of the other: {widest_y}");
+        assert!(hems[1].strips.is_empty());
     }
 
     #[test]

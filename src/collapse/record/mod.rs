@@ -29,7 +29,7 @@
 //! # Cost
 //! Bytes a source triangle, down to 1 % of the faces, 1/128 m grid (`--grid 0.01`), with classes and deviations, half-edge
 //! and placed freely: a building of 295 k faces (0.17 m between vertices) 2.59 and 3.62, a crossing of 240 k 2.65 and 3.71,
-//! a house of 766 k 2.95 and 4.08, a campus of 146 k (1.6 m: 200 steps) 3.07 and 4.54. Of the building's 41 bits for two
+//! a house of 749 k 2.61 and 3.57, a campus of 146 k (1.6 m: 200 steps) 3.19 and 4.74. Of the building's 41 bits for two
 //! faces 17 say which vertex, 15 where, 5 which faces go where, 3.5 how far off; on the campus it is 14 and 23, for a step
 //! of the grid is a smaller part of an edge there. Per second of one
 //! busy core: 0.33 M splits encoded, 0.5 M decoded (half-edge), 86 M and more replayed by

@@ -3,26 +3,39 @@
 //! Encoder and decoder share one trait: a function written once against [`Coder`] describes both directions, so they
 //! cannot drift apart. Encoding passes values through; decoding ignores the values passed in and returns those read.
 //!
-//! # Method      the carry-less byte-wise range coder of LZMA; a probability is the mean of a fast and a slow average
+//! # Method      the carry-less byte-wise range coder of LZMA; a probability is the mean of a fast and a slow average, that
+//! begin as plain means
 //! # Promises    deterministic; a decoder never panics, and reading past the end is noticed, see [`Decoder::overrun`]
 //! # References  Martin, Range encoding, 1979; Pavlov's LZMA specification; Mahoney on mixing two rates
 
-/// Probability that a bit is 0, in 1/65536, learned at two speeds.
+/// Probability that a bit is 0, in 1/65536: the mean of all bits so far, then of late ones, at two speeds.
 #[derive(Debug, Clone, Copy)]
 pub struct Prob {
     fast: u16,
     slow: u16,
+    /// Bits so far, as far as it matters.
+    seen: u16,
 }
 
 impl Default for Prob {
     fn default() -> Self {
-        Self { fast: 1 << 15, slow: 1 << 15 }
+        Self { fast: 1 << 15, slow: 1 << 15, seen: 0 }
     }
 }
 
-/// Shifts of the two averages: the fast one follows changes of scale, the slow one settles.
-const FAST_SHIFT: u16 = 4;
-const SLOW_SHIFT: u16 = 7;
+/// Bits that the two averages reach back at most: the fast one follows changes of scale, the slow one settles.
+const FAST: u16 = 30;
+const SLOW: u16 = 254;
+/// 2^15 / (n + 2).
+const SHARES: [i32; SLOW as usize + 1] = {
+    let mut shares = [0; SLOW as usize + 1];
+    let mut n = 0;
+    while n < shares.len() {
+        shares[n] = (1 << 15) / (n as i32 + 2);
+        n += 1;
+    }
+    shares
+};
 /// Probabilities stay this far from 0 and 1, in 1/65536: no bit may become impossible.
 const LEAST: u32 = 32;
 
@@ -33,8 +46,14 @@ impl Prob {
 
     fn learn(&mut self, bit: bool) {
         // Both are made: no branch would be foreseen.
-        let next = |p: u16, shift: u16| if bit { p - (p >> shift) } else { p + ((u16::MAX - p) >> shift) };
-        (self.fast, self.slow) = (next(self.fast, FAST_SHIFT), next(self.slow, SLOW_SHIFT));
+        let to = if bit { 0 } else { i32::from(u16::MAX) };
+        let next = |p: u16, n: u16| {
+            let p = i32::from(p);
+            // Of one before all others a half: never beyond either end.
+            (p + (((to - p) * SHARES[usize::from(n)] + (1 << 14)) >> 15)) as u16
+        };
+        (self.fast, self.slow) = (next(self.fast, self.seen.min(FAST)), next(self.slow, self.seen));
+        self.seen = (self.seen + 1).min(SLOW);
     }
 }
 

@@ -49,6 +49,7 @@ struct Marks {
     own: Vec<[u8; MAX_CLASSES]>,
     /// The same, of all events up to and including this one.
     running: Vec<[u8; MAX_CLASSES]>,
+    /// The largest energy up to each event.
     energy: Vec<i16>,
     octave: Vec<i16>,
 }
@@ -59,21 +60,23 @@ impl Marks {
         let mut own = std::mem::take(&mut log.levels);
         own.resize(log.events.len(), [0; MAX_CLASSES]);
         own.iter_mut().for_each(|levels| levels[classes..].fill(0));
-        let energy: Vec<i16> = log.events.iter().map(|e| energy_level(e.energy)).collect();
+        let mut most = i16::MIN;
+        let energy = log.events.iter().map(|e| {
+            most = most.max(energy_level(e.energy));
+            most
+        });
+        let energy: Vec<i16> = energy.collect();
         let mut running = own.clone();
         for i in 1..running.len() {
             let before = running[i - 1];
             running[i].iter_mut().zip(before).for_each(|(r, b)| *r = (*r).max(b));
         }
         let tracked = running.last().is_some_and(|r| r.iter().any(|l| *l > 0));
-        let mut most = i16::MIN;
-        let octave = (0..own.len())
-            .map(|i| {
-                most = most.max(energy[i]);
-                let worst = running[i].iter().max().copied().unwrap_or(0);
-                if tracked { i16::from(worst) / 4 } else { most }
-            })
-            .collect();
+        let octave = running.iter().zip(&energy).map(|(levels, energy)| {
+            let worst = levels.iter().max().copied().unwrap_or(0);
+            if tracked { i16::from(worst) / 4 } else { *energy }
+        });
+        let octave = octave.collect();
         Self { own, running, energy, octave }
     }
 
@@ -235,6 +238,8 @@ impl<'a> Writer<'a> {
         wings.extend(history.died(i).iter().map(wing));
         folds.clear();
         folds.extend(history.folded(i).iter().map(|(_, f)| fold(f)));
+        // Twins follow each other.
+        folds.sort_by_key(|f: &Fold| (f.a.min(f.b), f.a.max(f.b), f.of_new));
         let mut split = Split {
             kept,
             leaves: sides,

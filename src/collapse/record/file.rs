@@ -26,7 +26,7 @@ use crate::ids::{ClassScheme, ClassSpec};
 use crate::{Error, Result};
 
 const MAGIC: &[u8; 16] = b"rooftile record\0";
-const VERSION: u16 = 3;
+const VERSION: u16 = 4;
 /// The flag of [`About::tracked`].
 const TRACKED: u16 = 1;
 const HASH_BYTES: usize = 16;
@@ -67,7 +67,7 @@ pub struct ChunkInfo {
     pub faces: u32,
     /// Vertices of the mesh once it is decoded.
     pub vertices: u32,
-    /// Least and largest energy of its collapses, as half the binary logarithm, rounded up.
+    /// The largest energy of all collapses up to its first and its last, as half the binary logarithm, rounded up.
     pub energy: [i16; 2],
     /// Levels of the largest deviation of each class in the mesh once it is decoded.
     pub bounds: [u8; MAX_CLASSES],

@@ -63,6 +63,13 @@ pub struct Fold {
     pub tag: u32,
 }
 
+impl Fold {
+    /// On the same edge, and of the other vertex.
+    pub fn is_twin_of(&self, other: &Self) -> bool {
+        self.of_new != other.of_new && [[other.a, other.b], [other.b, other.a]].contains(&[self.a, self.b])
+    }
+}
+
 /// A face around the vertex to be split.
 #[derive(Debug, Clone, Copy)]
 pub struct Spoke {

@@ -28,12 +28,16 @@
 //!
 //! # Cost
 //! Bytes a source triangle, down to 1 % of the faces, 1/128 m grid (`--grid 0.01`), with classes and deviations, half-edge
-//! and placed freely: a building of 295 k faces (0.17 m between vertices) 2.75 and 3.79, a house of 749 k 2.76 and 3.72, a
-//! campus of 146 k (1.6 m: 200 steps) 3.27 and 4.77. Of the building's 41 bits of a half-edge split 16 say which vertex,
-//! 15 where, 5 which faces go where, 4 how far off, 0.7 the energy; on the campus it is 25 bits where. Per second of one
-//! busy core: 0.33 M splits encoded, 0.6 M decoded (half-edge; 0.5 M placed freely), 86 M and more replayed by
-//! [`Progressive::at`], 8 M by [`Progressive::within`]. Encoding needs less memory than
-//! the collapse before it, but where that left holes in the heap it is the peak (a building of 295 k: 78 and 70 MB).
+//! and placed freely: a building of 295 k faces (0.17 m between vertices) 2.59 and 3.62, a crossing of 240 k 2.65 and 3.71,
+//! a house of 749 k 2.61 and 3.57, a campus of 146 k (1.6 m: 200 steps) 3.19 and 4.74. Of the building's 41 bits for two
+//! faces 17 say which vertex, 15 where, 5 which faces go where, 3.5 how far off; on the campus it is 14 and 23, for a step
+//! of the grid is a smaller part of an edge there. Per second of one
+//! busy core: 0.33 M splits encoded, 0.5 M decoded (half-edge), 86 M and more replayed by
+//! [`Progressive::at`], 8 M by [`Progressive::within`]. Encoding needs less memory than the collapse before it.
+//! What paid in bytes (bits for two faces, building and campus, from 43.9 and 52.1): whose side a face takes by where the
+//! neighbours lie, and places fitted to absolute errors (1.0, 0.7); the largest energy so far in place of each (0.8, 0.9);
+//! deviations by class under those of the split before there (0.6, 0.9); folds in pairs (0.1, 0.7); plain means while
+//! little is known (0.1, 0.1).
 //! What paid in decoding (0.34 → 0.6 M/s in one run): stars of 32 splits told and fetched ahead, a vertex with its list in
 //! half a line and a face with its class in a quarter, points read once a split, probabilities in place and without
 //! branches. A third of the time left is in the coder's bits, a sixth in ordering stars.
@@ -42,7 +46,9 @@
 //! - Batches of independent splits in spatial order: 10 bits less for the vertex, but inside a batch the order is lost,
 //!   and with it replay to an exact number of faces; keeping the order costs the same 10 bits.
 //! - Filing vertices by how bent the surface is around them, or by their number of faces, and coding the file first: the
-//!   vertex took 0.5 bits less and decoding half as long again.
+//!   vertex took 0.5 bits less and decoding half as long again. Area, height and number of faces together: 0.6.
+//! - The number of neighbours as a context of places, the deviation there as one of the height, the distance of the middle
+//!   of the neighbours as one of the sides: none gained.
 //! - The height that energy and area tell of as a context of the coordinate off the plane: no gain.
 //! - The refit as a last step of the record: it follows every source vertex to the face it is on, which is forgotten;
 //!   storing the places it finds would serve one cut only.

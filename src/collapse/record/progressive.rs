@@ -30,7 +30,7 @@ pub struct Progressive {
     pub gone_at: Vec<DVec3>,
     /// Per split: levels of the largest deviation per class that its collapse caused.
     pub deviation: Vec<[u8; MAX_CLASSES]>,
-    /// Per split: half the binary logarithm of the energy, rounded up.
+    /// Per split: half the binary logarithm of the largest energy of its collapse and those before it, rounded up.
     pub energy: Vec<i16>,
     /// Per split: faces after it.
     pub faces_after: Vec<u32>,

@@ -23,8 +23,9 @@
 //!
 //! # Limits
 //! Samples bound the distance from the source to the cut, not back; `tiles::error` measures both. In
-//! [`simplify`] closed islands shrink to a tetrahedron and stay ([`window::step`] drops them). A tunnel that is no flap
-//! stays, unless `Rules::loop_reach_m` lets it close. A border that two blocks share joins a step later.
+//! a record closed islands shrink to a tetrahedron and stay; elsewhere [`simplify`] and [`window::step`] drop them. A
+//! tunnel that is no flap stays, unless `Rules::loop_reach_m` lets it close. A border that two blocks share joins a step
+//! later.
 //!
 //! # Cost
 //! About 15 µs a source face down to 0.2 % of the faces (3.1 million faces, processor time on a busy machine). Of the

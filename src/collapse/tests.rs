@@ -353,6 +353,25 @@ fn a_closed_piece_on_a_vertex_folds_away() {
 }
 
 #[test]
+fn pieces_in_the_air_go_before_the_ground_is_spoilt() {
+    let mut mesh = terrain(16);
+    let ground = mesh.faces.len() as u32;
+    let corners = [[0.0, 0.0, 0.01], [0.02, 0.0, 0.01], [0.0, 0.02, 0.01], [0.01, 0.01, 0.03]].map(DVec3::from_array);
+    for k in 0..20u32 {
+        let first = mesh.positions.len() as u32;
+        let foot = mesh.positions[(18 + 13 * k) as usize];
+        mesh.positions.extend(corners.map(|c| on_grid(foot + c)));
+        mesh.faces.extend([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]].map(|f| f.map(|v: u32| v + first)));
+    }
+    mesh.face_material = vec![0; mesh.faces.len()];
+    let config = SimplifyConfig { target: Target::Faces(120), ..SimplifyConfig::default() };
+    let cut = simplify(&mesh, &one_class(&mesh), &config);
+    let of_ground = cut.face_ids.iter().filter(|&&f| f < ground).count();
+    // With all pieces the ground would have 40.
+    assert!(cut.faces.len() <= 120 && of_ground > 60, "{of_ground} of {} faces are the ground's", cut.faces.len());
+}
+
+#[test]
 fn a_sequence_replays_to_every_cut() {
     let mesh = terrain(20);
     let classes = one_class(&mesh);

@@ -18,6 +18,7 @@
 
 pub mod bounds;
 pub mod bvh;
+pub mod convex;
 pub mod crs;
 pub mod eigen;
 pub mod ellipsoid;

@@ -20,11 +20,11 @@
 //! # Limits
 //! The upper bound stops once it is within the tolerance: surfaces that are equal have an interval up to as wide.
 
-use glam::DVec3;
 use rayon::prelude::*;
 use serde::Serialize;
 
 use super::surface::{Near, Prepared, Surface};
+use crate::geo::convex::Convex;
 
 /// Certified bounds of a largest distance.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
@@ -44,8 +44,6 @@ impl Interval {
 
 /// Faces that share bounds as they grow; small, as a few faces may need most of the work.
 const FACES_PER_CHUNK: usize = 256;
-/// A cut must leave this share of the piece's radius on either side, else the piece is halved.
-const LEAST_CUT: f64 = 0.05;
 /// Distances in f64 are right to this share of the coordinates.
 const ROUNDING: f64 = 1e-14;
 
@@ -163,15 +161,12 @@ struct Bounds {
 /// A convex part of a face.
 #[derive(Clone, Copy)]
 struct Piece {
-    corners: [DVec3; MOST_CORNERS],
-    count: u8,
+    shape: Convex,
     /// A face of the other surface that is near.
     start: u32,
     /// Classes that its points may count for.
     classes: u32,
 }
-
-const MOST_CORNERS: usize = 8;
 
 struct Run<'a> {
     search: &'a Search<'a>,
@@ -209,9 +204,7 @@ impl Run<'_> {
         if bound <= self.threshold(classes).0 {
             return self.settle(classes, bound);
         }
-        let mut all = [DVec3::ZERO; MOST_CORNERS];
-        all[..3].copy_from_slice(&corners);
-        self.stack.push(Piece { corners: all, count: 3, start, classes });
+        self.stack.push(Piece { shape: corners.into(), start, classes });
         while let Some(piece) = self.stack.pop() {
             self.piece(piece);
         }
@@ -245,7 +238,7 @@ impl Run<'_> {
         if bound <= self.threshold(piece.classes).0 {
             return self.settle(piece.classes, bound);
         }
-        let (middle, radius) = piece.ball();
+        let (middle, radius) = piece.shape.ball();
         let Some(hit) = to.nearest(middle, piece.start) else { return };
         let class = match self.search.classes {
             Classes::OfTo(_) => usize::from(to.class_of(hit.face)),
@@ -280,89 +273,15 @@ impl Run<'_> {
         if is_last || radius <= ROUNDING * middle.length() {
             return self.settle(piece.classes, bound);
         }
-        let [one, other] = piece.cut(to.corners(hit.face), middle, radius);
-        self.stack.push(Piece { start: hit.face, classes: piece.classes, ..one });
-        self.stack.push(Piece { start: hit.face, classes: piece.classes, ..other });
+        for shape in piece.shape.cut(to.corners(hit.face), middle, radius) {
+            self.stack.push(Piece { shape, start: hit.face, classes: piece.classes });
+        }
     }
 }
 
 impl Piece {
-    fn corners(&self) -> &[DVec3] {
-        &self.corners[..usize::from(self.count)]
-    }
-
     /// The largest distance from triangle `f`, which by convexity is that of a corner.
     fn furthest_from(&self, to: &Prepared, f: u32) -> f64 {
-        self.corners().iter().map(|p| to.distance_to_face(*p, f)).fold(0.0, f64::max)
-    }
-
-    /// The mean of the corners, and how far the furthest is from it.
-    fn ball(&self) -> (DVec3, f64) {
-        let middle = self.corners().iter().sum::<DVec3>() / f64::from(self.count);
-        (middle, self.corners().iter().map(|p| (p - middle).length_squared()).fold(0.0, f64::max).sqrt())
-    }
-
-    /// Cuts along the edge of triangle `over` that divides it best, or else through its middle.
-    fn cut(&self, over: [DVec3; 3], middle: DVec3, radius: f64) -> [Self; 2] {
-        if usize::from(self.count) == MOST_CORNERS {
-            return self.halves();
-        }
-        let normal = (over[1] - over[0]).cross(over[2] - over[0]);
-        let mut best = (LEAST_CUT * radius, None);
-        for k in 0..3 {
-            let (a, b) = (over[k], over[(k + 1) % 3]);
-            let outwards = (b - a).cross(normal).normalize_or_zero();
-            let sides = self.corners().iter().map(|p| outwards.dot(p - a));
-            let (least, most) = sides.fold((0.0f64, 0.0f64), |(l, m), s| (l.min(s), m.max(s)));
-            let smaller = most.min(-least);
-            if smaller > best.0 {
-                best = (smaller, Some((a, outwards)));
-            }
-        }
-        let (a, outwards) = best.1.unwrap_or_else(|| {
-            let far = self
-                .corners()
-                .iter()
-                .max_by(|p, q| (*p - middle).length_squared().total_cmp(&(*q - middle).length_squared()));
-            (middle, far.map_or(DVec3::X, |p| p - middle))
-        });
-        match (self.side(a, outwards), self.side(a, -outwards)) {
-            (Some(one), Some(other)) => [one, other],
-            // Corners all but in the plane may lie on either side in turn.
-            _ => self.halves(),
-        }
-    }
-
-    /// What lies behind the plane through `a`, unless it has too many corners.
-    fn side(&self, a: DVec3, outwards: DVec3) -> Option<Self> {
-        let mut kept = Self { count: 0, ..*self };
-        let corners = self.corners();
-        for (i, &p) in corners.iter().enumerate() {
-            let q = corners[(i + 1) % corners.len()];
-            let (s, t) = (outwards.dot(p - a), outwards.dot(q - a));
-            if s <= 0.0 {
-                kept.push(p)?;
-            }
-            if (s < 0.0 && t > 0.0) || (s > 0.0 && t < 0.0) {
-                kept.push(p + (q - p) * (s / (s - t)))?;
-            }
-        }
-        Some(kept)
-    }
-
-    fn push(&mut self, p: DVec3) -> Option<()> {
-        *self.corners.get_mut(usize::from(self.count))? = p;
-        self.count += 1;
-        Some(())
-    }
-
-    /// Cut from corner to corner: neither half has as many. Pieces of three corners never get here: cut by a plane
-    /// they give at most five.
-    fn halves(&self) -> [Self; 2] {
-        let half = usize::from(self.count) / 2;
-        let mut other = Self { count: self.count - half as u8 + 1, ..*self };
-        other.corners[..usize::from(self.count) - half].copy_from_slice(&self.corners()[half..]);
-        other.corners[usize::from(self.count) - half] = self.corners[0];
-        [Self { count: half as u8 + 1, ..*self }, other]
+        self.shape.corners().iter().map(|p| to.distance_to_face(*p, f)).fold(0.0, f64::max)
     }
 }

@@ -5,7 +5,6 @@ pub mod error;
 pub mod levels;
 pub mod partition;
 pub mod raise;
-mod signed;
 pub mod skirt;
 pub mod soup;
 

@@ -22,9 +22,8 @@
 
 use glam::{DVec2, DVec3};
 
-use super::error::{Corner, Surface, closest, cover_radius};
+use super::error::{Corner, Surface, closest, cover_radius, quarter};
 use super::levels::TileMesh;
-use super::signed::quarter;
 use crate::geo::bvh::Bvh;
 use crate::ids::{ClassId, ClassScheme};
 
@@ -151,7 +150,7 @@ impl<'a> Rises<'a> {
             let extent_m = heights.into_iter().fold(f64::NEG_INFINITY, f64::max)
                 - heights.into_iter().fold(f64::INFINITY, f64::min);
             let is_low = extent_m <= APART_HEIGHT_SHARE * limit_m;
-            let is_narrow = cover_radius(corners) <= APART_REACH_SHARE * reach_m;
+            let is_narrow = cover_radius(corners.map(|c| c.at)) <= APART_REACH_SHARE * reach_m;
             if !(at_last || is_low && is_narrow) {
                 return false;
             }
@@ -177,7 +176,7 @@ impl<'a> Rises<'a> {
             below_m = below_m.max(self.best(&[*c; 3], &around, reach_m).0);
         }
         let held = &mut self.held[class.index()].reach_m;
-        *held = held.max(reach_m + cover_radius(corners));
+        *held = held.max(reach_m + cover_radius(corners.map(|c| c.at)));
         below_m
     }
 

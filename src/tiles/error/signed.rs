@@ -1,77 +1,100 @@
 //! Bounds how far a tile lies inside or below its source: the direction in which a pilot is not safe.
 //!
-//! In: the source, the tile, the nearest tile point of every source vertex. Out: per class two certified numbers.
+//! In: the source, the tile, and bounds of each face that fell off while distances were bounded ([`Sides`]). Out: per class
+//! two certified numbers.
 //!
 //! # Method
 //! For every point p of the source there is a point q of the tile, no further away than the certified bound of p's class,
 //! with n·(p − q) ≤ `inside_m`, n the source's normal at p; and one with p.z − q.z ≤ `sunk_m`. A face is settled by one
 //! tile triangle T: n·(p − q) is affine where p and q run over the face and T together, so the largest of its corners'
-//! values holds for all of it. Or by one point of the tile for the whole face. Else it is quartered.
+//! values holds for all of it. Or by one point of the tile for the whole face. Of all faces there is such a bound already;
+//! those that have the worst of their class are looked at again, and quartered where another triangle within reach is no
+//! better.
 //!
 //! # Promises
 //! `the_tile_never_sinks_deeper_than_stated`.
 
 use glam::DVec3;
 
-use super::error::{Corner, DEEPEST, Deviation, Near, Surface, TOLERANCE_M, TOLERANCE_SHARE, closest, cover_radius};
+use super::{Corner, Deviation, Near, Surface, TOLERANCE_M, TOLERANCE_SHARE, cover_radius, quarter};
 use crate::geo::bvh::{Bvh, closest_on_triangle};
 
+/// A face is quartered at most this often.
+const DEEPEST: u32 = 7;
 /// Looked at more closely at first, the worst: what they leave undecided is little.
 const FIRST: usize = 256;
 
-/// Fills `inside_m` and `sunk_m` of every class whose `upper_m` is final. `roughly` bounds both for each face, by what is
-/// within the reach of its class; infinite where that is not known.
-pub(super) fn bound(near: &mut Near, roughly: &mut [[f32; 2]], found: &mut [Deviation]) {
+/// By face, what bounds both directions by points of the tile within its class's bound, metres; rounded up.
+pub(super) type Sides = Vec<[f32; 2]>;
+
+/// The bounds of a face in the making.
+pub(super) struct Side {
+    directions: [DVec3; 2],
+    worst_m: [f64; 2],
+}
+
+impl Side {
+    pub fn of(corners: [DVec3; 3]) -> Self {
+        Self { directions: directions(corners), worst_m: [f64::NEG_INFINITY; 2] }
+    }
+
+    /// From a point of the tile to a corner of a piece of the face. What holds for all corners of a piece and points of
+    /// one triangle, or one point, holds for all of it.
+    pub fn take(&mut self, offset: DVec3) {
+        for (worst_m, direction) in self.worst_m.iter_mut().zip(self.directions) {
+            *worst_m = worst_m.max(direction.dot(offset));
+        }
+    }
+
+    pub fn rounded_up(self) -> [f32; 2] {
+        self.worst_m.map(|m| (m as f32).next_up())
+    }
+}
+
+/// Fills `inside_m` and `sunk_m` of every class whose `upper_m` is final; `sides` bound both for each face.
+pub(super) fn bound(near: &Near, mut sides: Sides, found: &mut [Deviation]) {
     for (class, found) in found.iter_mut().enumerate() {
         let reach_m = found.upper_m * (1.0 + 1e-9);
         let mut bound_m = [f64::NEG_INFINITY; 2];
         for side in 0..2 {
-            let of_class = near.from.labels.iter().enumerate().filter(|(_, label)| label.index() == class);
-            let mut open: Vec<(f32, u32)> = of_class.map(|(f, _)| (roughly[f][side], f as u32)).collect();
-            let mut first = FIRST;
-            // The worst first: they settle nearly all of the others. What is not known comes last and is settled by then.
-            let rank = |value_m: f32| if value_m == f32::INFINITY { f32::NEG_INFINITY } else { value_m };
-            let worse = |a: &(f32, u32), b: &(f32, u32)| rank(b.0).total_cmp(&rank(a.0)).then(a.1.cmp(&b.1));
-            while !open.is_empty() {
-                let count = first.min(open.len());
-                if count < open.len() {
-                    open.select_nth_unstable_by(count, worse);
+            let of_class = (0u32..).zip(near.from.labels).filter(|(_, label)| label.index() == class);
+            let open = of_class.map(|(f, _)| (sides[f as usize][side], f)).collect();
+            worst_first(open, |value_m, f| {
+                let is_last = f64::from(value_m) <= enough(bound_m[side]);
+                if is_last {
+                    // What is left adds nothing worth a closer look: the worst of it stands for all.
+                    bound_m[side] = bound_m[side].max(f64::from(value_m));
+                } else {
+                    refine(near, f, reach_m, &mut bound_m);
+                    sides[f as usize] = [f32::NEG_INFINITY; 2];
                 }
-                open[..count].sort_unstable_by(worse);
-                // What is left adds nothing worth a closer look: the worst of it stands for all.
-                if let (Some(&(worst, _)), true) = (open.first(), open.iter().all(|o| o.0 < f32::INFINITY))
-                    && f64::from(worst) <= enough(bound_m[side])
-                {
-                    bound_m[side] = bound_m[side].max(f64::from(worst));
-                    break;
-                }
-                for &(value_m, f) in &open[..count] {
-                    if f64::from(value_m) > bound_m[side] {
-                        refine(near, f as usize, reach_m, &mut bound_m);
-                        roughly[f as usize] = [f32::NEG_INFINITY; 2];
-                    }
-                }
-                open.drain(..count);
-                open.retain(|(value_m, _)| f64::from(*value_m) > bound_m[side]);
-                first *= 2;
-            }
+                !is_last
+            });
         }
         let or_0 = |m: f64| if m.is_finite() { m } else { 0.0 };
         (found.inside_m, found.sunk_m) = (or_0(bound_m[0]), or_0(bound_m[1]));
     }
 }
 
-/// What `offsets` from points of the tile to a face's corners, which hold for all of it, say of both directions; rounded
-/// up.
-pub(super) fn rough(corners: [DVec3; 3], offsets: [DVec3; 3]) -> [f32; 2] {
-    let mut best_m = [f64::INFINITY; 2];
-    take(&mut best_m, &directions(corners), offsets);
-    best_m.map(|m| (m as f32).next_up())
+/// Hands out values with their faces, the largest first, for as long as `more` are asked for: a few of many.
+fn worst_first(mut open: Vec<(f32, u32)>, mut more: impl FnMut(f32, u32) -> bool) {
+    let worse = |a: &(f32, u32), b: &(f32, u32)| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1));
+    let mut count = FIRST;
+    while !open.is_empty() {
+        count = count.min(open.len());
+        open.select_nth_unstable_by(count - 1, worse);
+        let rest = open.split_off(count);
+        open.sort_unstable_by(worse);
+        if !open.into_iter().all(|(value_m, f)| more(value_m, f)) {
+            return;
+        }
+        (open, count) = (rest, 2 * count);
+    }
 }
 
 /// Raises the bounds to what a face asks for.
-fn refine(near: &mut Near, f: usize, reach_m: f64, bound_m: &mut [f64; 2]) {
-    let corners = near.corners(&near.from.faces[f]);
+fn refine(near: &Near, f: u32, reach_m: f64, bound_m: &mut [f64; 2]) {
+    let corners = near.corners(f);
     let (to, tree) = (near.to, near.tree);
     if corners.iter().any(|c| c.hit.face == u32::MAX) {
         return;
@@ -102,7 +125,7 @@ fn refine(near: &mut Near, f: usize, reach_m: f64, bound_m: &mut [f64; 2]) {
 }
 
 /// Tile triangles whose boxes are within reach of a corner, at most [`MOST_CANDIDATES`].
-pub(super) fn within(corners: &[Corner; 3], reach_m: f64, tree: &Bvh) -> Vec<u32> {
+fn within(corners: &[Corner; 3], reach_m: f64, tree: &Bvh) -> Vec<u32> {
     let p = corners[0].at;
     let mut found = Vec::new();
     tree.overlapping(p - reach_m, p + reach_m, &mut |face| {
@@ -130,7 +153,7 @@ fn enough(worst_m: f64) -> f64 {
 fn values(corners: &[Corner; 3], directions: &[DVec3; 2], to: Surface, reach_m: f64, enough_m: [f64; 2]) -> [f64; 2] {
     let mut best_m = [f64::INFINITY; 2];
     // For each point of the face what is nearest to its nearest corner.
-    let radius_m = cover_radius(corners);
+    let radius_m = cover_radius(corners.map(|c| c.at));
     if corners.iter().all(|c| c.hit.distance + radius_m <= reach_m) {
         for (best_m, direction) in best_m.iter_mut().zip(directions) {
             let along = corners.map(|c| direction.dot(c.at));
@@ -169,7 +192,7 @@ fn take_triangle(
     face: u32,
     reach_m: f64,
 ) {
-    let triangle = to.faces[face as usize].map(|v| to.positions[v as usize]);
+    let triangle = to.triangle(face);
     let offsets =
         corners.map(|e| e.at - if e.hit.face == face { e.hit.point } else { closest_on_triangle(e.at, &triangle) });
     if offsets.iter().all(|o| o.length() <= reach_m) {
@@ -183,20 +206,9 @@ fn take(best_m: &mut [f64; 2], directions: &[DVec3; 2], offsets: [DVec3; 3]) {
     }
 }
 
-/// The four parts of a triangle that its edges' middles make.
-pub(super) fn quarter(corners: &[Corner; 3], to: Surface, tree: &Bvh) -> [[Corner; 3]; 4] {
-    let middle = |i: usize, j: usize| {
-        let at = (corners[i].at + corners[j].at) * 0.5;
-        Corner { at, hit: closest(at, Some(corners[i].hit.face), to, tree) }
-    };
-    let [a, b, c] = *corners;
-    let (ab, bc, ca) = (middle(0, 1), middle(1, 2), middle(2, 0));
-    [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::error::from_source;
+    use super::super::from_source;
     use super::*;
     use crate::ids::ClassId;
 
@@ -253,9 +265,11 @@ mod tests {
     fn a_tile_above_its_source_is_safe_and_says_by_how_much() {
         let (low, high) = (grid(6, |_, _| 0.0), grid(2, |_, _| 0.25));
         let safe = deviation(&low, &high);
-        assert!((safe.inside_m + 0.25).abs() < 1e-9 && (safe.sunk_m + 0.25).abs() < 1e-9, "{safe:?}");
+        // Rounded up to f32.
+        let is = |m: f64, wanted: f64| (wanted..wanted + 1e-6).contains(&m);
+        assert!(is(safe.inside_m, -0.25) && is(safe.sunk_m, -0.25), "{safe:?}");
         let sunk = deviation(&high, &low);
-        assert!((sunk.inside_m - 0.25).abs() < 1e-9 && (sunk.sunk_m - 0.25).abs() < 1e-9);
+        assert!(is(sunk.inside_m, 0.25) && is(sunk.sunk_m, 0.25), "{sunk:?}");
     }
 
     #[test]

@@ -347,10 +347,10 @@ pub(super) mod tests {
         assert!((2..=4).contains(&charts.len()), "{}", charts.len());
         for chart in &charts {
             // Drawn 8 times finer, no texel belongs to two faces.
-            let mut taken = Mask::new(2000, 2000);
+            let mut test = Test { taken: Mask::new(2000, 2000), spans: Vec::new() };
             let grower = Grower::of(&positions, &faces, 0.0);
             let clash =
-                chart.faces.iter().filter(|&&f| !grower.draw(f, chart, chart.low, 0.0025, [2000, 2000], &mut taken));
+                chart.faces.iter().filter(|&&f| !grower.draw(f, chart, chart.low, 0.0025, [2000, 2000], &mut test));
             assert_eq!(clash.count(), 0);
         }
     }

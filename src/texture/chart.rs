@@ -55,7 +55,7 @@ pub(super) fn charts(positions: &[DVec3], faces: &[[u32; 3]], texel_m: f64, angl
     let mut pieces = grower.grow(&order);
     grower.merge_tiny(&mut pieces, (TINY_PX * texel_m).powi(2));
     let mut done = Vec::new();
-    let mut test = Mask::new(1, 1);
+    let mut test = Test { taken: Mask::new(1, 1), spans: Vec::new() };
     for round in 0.. {
         let mut ejected = Vec::new();
         for piece in pieces {
@@ -73,6 +73,13 @@ pub(super) fn charts(positions: &[DVec3], faces: &[[u32; 3]], texel_m: f64, angl
 }
 
 const NONE: u32 = u32::MAX;
+
+/// Looks for overlaps in one chart.
+struct Test {
+    taken: Mask,
+    /// Rows of the face that is looked at, from and to: drawn once, for the question and the answer.
+    spans: Vec<[u32; 3]>,
+}
 
 struct Grower<'a> {
     positions: &'a [DVec3],
@@ -176,7 +183,7 @@ impl<'a> Grower<'a> {
     }
 
     /// Projects a piece; returns the chart and the faces that could not stay in it.
-    fn flatten(&self, piece: Vec<u32>, texel_m: f64, test: &mut Mask) -> (Chart, Vec<u32>) {
+    fn flatten(&self, piece: Vec<u32>, texel_m: f64, test: &mut Test) -> (Chart, Vec<u32>) {
         let normal = |faces: &[u32]| {
             let sum: DVec3 = faces.iter().map(|&f| self.cross[f as usize]).sum();
             sum.try_normalize().unwrap_or(DVec3::Z)
@@ -193,7 +200,7 @@ impl<'a> Grower<'a> {
         let size = high - low;
         let test_m = texel_m.max((size.x * size.y / MAX_TEST_TEXELS).sqrt()).max(size.max_element() / 65536.0);
         let window = [size.x, size.y].map(|s| (s / test_m).ceil() as u32 + 1);
-        test.reset(window[0], window[1]);
+        test.taken.reset(window[0], window[1]);
         for f in kept {
             if self.draw(f, &chart, low, test_m, window, test) { chart.faces.push(f) } else { ejected.push(f) }
         }
@@ -202,13 +209,15 @@ impl<'a> Grower<'a> {
     }
 
     /// Marks the texels of a face unless one of them is taken; a texel on an edge belongs to nobody.
-    fn draw(&self, f: u32, chart: &Chart, low: DVec2, texel_m: f64, window: [u32; 2], taken: &mut Mask) -> bool {
+    fn draw(&self, f: u32, chart: &Chart, low: DVec2, texel_m: f64, window: [u32; 2], test: &mut Test) -> bool {
         const SHRINK_PX: f64 = -0.01;
         let tri = self.faces[f as usize].map(|v| (chart.project(self.positions[v as usize]) - low) / texel_m);
-        let mut clash = false;
-        centers(tri, SHRINK_PX, window, |y, x0, x1| clash |= taken.any_in_span(y, x0, x1));
+        let Test { taken, spans } = test;
+        spans.clear();
+        centers(tri, SHRINK_PX, window, |y, x0, x1| spans.push([y, x0, x1]));
+        let clash = spans.iter().any(|&[y, x0, x1]| taken.any_in_span(y, x0, x1));
         if !clash {
-            centers(tri, SHRINK_PX, window, |y, x0, x1| taken.set_span(y, x0, x1));
+            spans.iter().for_each(|&[y, x0, x1]| taken.set_span(y, x0, x1));
         }
         !clash
     }
@@ -338,10 +347,10 @@ pub(super) mod tests {
         assert!((2..=4).contains(&charts.len()), "{}", charts.len());
         for chart in &charts {
             // Drawn 8 times finer, no texel belongs to two faces.
-            let mut taken = Mask::new(2000, 2000);
+            let mut test = Test { taken: Mask::new(2000, 2000), spans: Vec::new() };
             let grower = Grower::of(&positions, &faces, 0.0);
             let clash =
-                chart.faces.iter().filter(|&&f| !grower.draw(f, chart, chart.low, 0.0025, [2000, 2000], &mut taken));
+                chart.faces.iter().filter(|&&f| !grower.draw(f, chart, chart.low, 0.0025, [2000, 2000], &mut test));
             assert_eq!(clash.count(), 0);
         }
     }

@@ -188,13 +188,19 @@ pub(super) fn fill(image: &mut RgbImage, mask: &Mask) {
 
 fn fill_from_parent(image: &mut RgbImage, parent: &RgbImage, empty: impl Fn(u32, u32, u32) -> bool) {
     let width = image.width();
-    for (x, y, texel) in image.enumerate_pixels_mut() {
-        if empty(x, y, width) {
-            *texel = *parent.get_pixel(x / 2, y / 2);
+    let rows = image.chunks_exact_mut(3 * width as usize);
+    for (y, row) in (0..).zip(rows) {
+        let above = &parent.as_raw()[(y / 2 * parent.width()) as usize * 3..][..parent.width() as usize * 3];
+        for (x, texel) in (0..).zip(row.chunks_exact_mut(3)) {
+            if empty(x, y, width) {
+                let at = (x / 2) as usize * 3;
+                texel.copy_from_slice(&above[at..at + 3]);
+            }
         }
     }
 }
 
+/// Half the size, and how many base texels each texel has the light of.
 fn halve(fine: &RgbImage, weight: impl Fn(u32, u32) -> u32) -> (RgbImage, Vec<u32>) {
     let (width, height) = fine.dimensions();
     let mut coarse = RgbImage::new(width.div_ceil(2), height.div_ceil(2));
@@ -202,22 +208,43 @@ fn halve(fine: &RgbImage, weight: impl Fn(u32, u32) -> u32) -> (RgbImage, Vec<u3
     let linear: &[u16; 256] = &LINEAR;
     let srgb: &[u8] = &SRGB;
     let texels = fine.as_raw();
-    for y in 0..coarse.height() {
-        for x in 0..coarse.width() {
-            let (mut sum, mut total) = ([0_u64; 3], 0_u64);
-            for fy in 2 * y..(2 * y + 2).min(height) {
-                for fx in 2 * x..(2 * x + 2).min(width) {
-                    let w = u64::from(weight(fx, fy));
-                    let at = (fy as usize * width as usize + fx as usize) * 3;
+    let row_bytes = 3 * coarse.width() as usize;
+    for (y, row) in (0..).zip(coarse.chunks_exact_mut(row_bytes)) {
+        for (x, texel) in (0..).zip(row.chunks_exact_mut(3)) {
+            let (left, top) = (2 * x, 2 * y);
+            let (right, bottom) = (left + 1 < width, top + 1 < height);
+            let own = [
+                weight(left, top),
+                if right { weight(left + 1, top) } else { 0 },
+                if bottom { weight(left, top + 1) } else { 0 },
+                if right && bottom { weight(left + 1, top + 1) } else { 0 },
+            ];
+            let total = own[0] + own[1] + own[2] + own[3];
+            weights.push(total);
+            if total == 0 {
+                continue;
+            }
+            let at = (top as usize * width as usize + left as usize) * 3;
+            let below = at + 3 * width as usize;
+            let light = |at: usize, c: usize| u32::from(linear[usize::from(texels[at + c])]);
+            if own[0] == own[1] && own[0] == own[2] && own[0] == own[3] {
+                // Whatever the weight, the quotient is the same: nearly all texels, without a division.
+                for c in 0..3 {
+                    let sum = light(at, c) + light(at + 3, c) + light(below, c) + light(below + 3, c);
+                    texel[c] = srgb[((sum + 2) >> 2) as usize];
+                }
+                continue;
+            }
+            let (mut sum, total) = ([0_u64; 3], u64::from(total));
+            for (at, weight) in [at, at + 3, below, below + 3].into_iter().zip(own) {
+                if weight > 0 {
                     for c in 0..3 {
-                        sum[c] += u64::from(linear[usize::from(texels[at + c])]) * w;
+                        sum[c] += u64::from(light(at, c)) * u64::from(weight);
                     }
-                    total += w;
                 }
             }
-            weights.push(total as u32);
-            if total > 0 {
-                coarse.put_pixel(x, y, Rgb(sum.map(|s| srgb[((s + total / 2) / total) as usize])));
+            for c in 0..3 {
+                texel[c] = srgb[((sum[c] + total / 2) / total) as usize];
             }
         }
     }

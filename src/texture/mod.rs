@@ -89,7 +89,9 @@ const MAX_UV: f32 = 1e4;
 impl Surface<'_> {
     /// The three corners of face `f`, metres.
     pub fn corners(&self, f: usize) -> [DVec3; 3] {
-        self.faces[f].map(|v| self.positions[v as usize])
+        // Mapped, the array costs a call.
+        let [a, b, c] = self.faces[f];
+        [self.positions[a as usize], self.positions[b as usize], self.positions[c as usize]]
     }
 
     /// Area of face `f`, m².

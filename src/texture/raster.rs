@@ -27,25 +27,28 @@ pub(super) fn centers(tri: [DVec2; 3], grow: f64, size: [u32; 2], mut row: impl 
     if !(area2.abs() > MIN_AREA2_PX && area2.is_finite()) {
         return;
     }
-    let sign = area2.signum();
-    // Inside is a·x + b·y + c >= 0 for all three edges.
-    let edges: [[f64; 3]; 3] = std::array::from_fn(|i| {
-        let (p, q) = (tri[i], tri[(i + 1) % 3]);
-        let (a, b) = ((p.y - q.y) * sign, (q.x - p.x) * sign);
-        [a, b, grow * (a.abs() + b.abs()) - a * p.x - b * p.y]
-    });
     let low = tri[0].y.min(tri[1].y).min(tri[2].y) - grow.max(0.0);
     let high = tri[0].y.max(tri[1].y).max(tri[2].y) + grow.max(0.0);
     let y0 = ceil(low - 0.5).max(0);
     let y1 = floor(high - 0.5).saturating_add(1).min(size[1].into());
+    if y0 >= y1 {
+        return;
+    }
+    let sign = area2.signum();
+    // Inside is a·x + b·y + c >= 0; one division an edge, not one a row.
+    let edge = |p: DVec2, q: DVec2| {
+        let (a, b) = ((p.y - q.y) * sign, (q.x - p.x) * sign);
+        [a, b, grow * (a.abs() + b.abs()) - a * p.x - b * p.y, -1.0 / a]
+    };
+    let edges = [edge(tri[0], tri[1]), edge(tri[1], tri[2]), edge(tri[2], tri[0])];
     'rows: for y in y0..y1 {
         let (mut x0, mut x1) = (0i64, i64::from(size[0]));
-        for [a, b, c] in edges {
+        for [a, b, c, over] in edges {
             let rest = b * (y as f64 + 0.5) + c;
             if a > 0.0 {
-                x0 = x0.max(ceil(-rest / a - 0.5));
+                x0 = x0.max(ceil(rest * over - 0.5));
             } else if a < 0.0 {
-                x1 = x1.min(floor(-rest / a - 0.5).saturating_add(1));
+                x1 = x1.min(floor(rest * over - 0.5).saturating_add(1));
             } else if rest < 0.0 {
                 continue 'rows;
             }
@@ -65,19 +68,29 @@ pub(super) fn touched(tri: [DVec2; 3], mut row: impl FnMut(i64, i64, i64)) {
     }
     let low = tri[0].y.min(tri[1].y).min(tri[2].y) - SLACK_PX;
     let high = tri[0].y.max(tri[1].y).max(tri[2].y) + SLACK_PX;
-    for y in floor(low)..=floor(high) {
+    let (first, last) = (floor(low), floor(high));
+    if first == last {
+        let (x0, x1) = (tri[0].x.min(tri[1].x).min(tri[2].x), tri[0].x.max(tri[1].x).max(tri[2].x));
+        return row(first, floor(x0 - SLACK_PX), floor(x1 + SLACK_PX) + 1);
+    }
+    // Downwards, with what x gains a row.
+    let edge = |p: DVec2, q: DVec2| {
+        let (p, q) = if p.y <= q.y { (p, q) } else { (q, p) };
+        (p, q, if q.y > p.y { (q.x - p.x) / (q.y - p.y) } else { 0.0 })
+    };
+    let edges = [edge(tri[0], tri[1]), edge(tri[1], tri[2]), edge(tri[2], tri[0])];
+    for y in first..=last {
         let (top, bottom) = (y as f64 - SLACK_PX, y as f64 + 1.0 + SLACK_PX);
         let (mut x0, mut x1) = (f64::INFINITY, f64::NEG_INFINITY);
-        for i in 0..3 {
-            let (p, q) = (tri[i], tri[(i + 1) % 3]);
-            let (p, q) = if p.y <= q.y { (p, q) } else { (q, p) };
+        for (p, q, slope) in edges {
             if q.y < top || p.y > bottom {
                 continue;
             }
-            let at = |y: f64| if q.y > p.y { p.x + (q.x - p.x) * ((y - p.y) / (q.y - p.y)) } else { p.x };
-            let ends = [if p.y < top { at(top) } else { p.x }, if q.y > bottom { at(bottom) } else { q.x }];
-            x0 = x0.min(ends[0]).min(ends[1]);
-            x1 = x1.max(ends[0]).max(ends[1]);
+            let at = |y: f64| p.x + slope * (y - p.y);
+            let upper = if p.y < top { at(top) } else { p.x };
+            let lower = if q.y > bottom { at(bottom) } else { q.x };
+            x0 = x0.min(upper).min(lower);
+            x1 = x1.max(upper).max(lower);
         }
         if x0 <= x1 {
             row(y, floor(x0 - SLACK_PX), floor(x1 + SLACK_PX) + 1);

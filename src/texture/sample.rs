@@ -7,6 +7,7 @@ use image::RgbImage;
 
 use super::images::{Images, UV_SLACK, texel_corners};
 use super::mask::Mask;
+use super::raster::{Barycentric, floor};
 use super::{GREY, Surface};
 
 /// Mips a painter may keep from the cache's reach, bytes.
@@ -14,7 +15,10 @@ const HELD_BYTES: usize = 256 << 20;
 /// Levels of the largest image there can be.
 const LEVELS: usize = 17;
 
-/// Paints points of a surface; remembers the last face, so ask face by face.
+/// Faces a painter remembers, a power of two: row by row, the same few come again and again.
+const REMEMBERED: usize = 512;
+
+/// Paints points of a surface; remembers what faces it painted lately.
 pub(super) struct Painter<'a> {
     surface: Surface<'a>,
     images: &'a Images<'a>,
@@ -23,10 +27,12 @@ pub(super) struct Painter<'a> {
     held_bytes: usize,
     /// Per image and level, index into `held` or `u32::MAX`.
     slots: Vec<[u32; LEVELS]>,
-    face: u32,
-    paint: Paint<'a>,
+    /// By face, modulo their number: which one, and how it is painted.
+    faces: Vec<u32>,
+    paints: Vec<Paint<'a>>,
 }
 
+#[derive(Clone)]
 enum Paint<'a> {
     Image { held: usize, mask: Option<&'a Mask>, corners: [DVec2; 3], wrap: [bool; 2] },
     Corners([[u8; 3]; 3]),
@@ -44,29 +50,52 @@ impl<'a> Painter<'a> {
             held: Vec::new(),
             held_bytes: 0,
             slots,
-            face: u32::MAX,
-            paint: Paint::Solid(GREY),
+            faces: vec![u32::MAX; REMEMBERED],
+            paints: vec![Paint::Solid(GREY); REMEMBERED],
         }
     }
 
     /// Colour at the point of `face` with these corner weights.
     pub fn color(&mut self, face: u32, weights: [f64; 3]) -> [u8; 3] {
-        if self.face != face {
-            self.face = face;
-            self.paint = self.take(face as usize);
-        }
-        match &self.paint {
+        let slot = self.remember(face);
+        match &self.paints[slot] {
             Paint::Image { held, mask, corners, wrap } => {
-                let at = corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2];
-                bilinear(&self.held[*held], *mask, at, *wrap)
+                bilinear(&self.held[*held], *mask, between(corners, weights), *wrap)
             }
-            Paint::Corners(corners) => std::array::from_fn(|c| {
-                let sum: f64 = (0..3).map(|i| f64::from(corners[i][c]) * weights[i]).sum();
-                // Float to byte saturates.
-                (sum + 0.5) as u8
-            }),
+            Paint::Corners(corners) => blended(corners, weights),
             Paint::Solid(color) => *color,
         }
+    }
+
+    /// Colours a row of texels of one face, whose centres lie at `first` and every one to the right of it.
+    pub fn color_row(&mut self, face: u32, weights: &Barycentric, first: DVec2, row: &mut [u8]) {
+        let slot = self.remember(face);
+        // Places are whole numbers and a half: adding is exact.
+        let centers = (0..row.len() / 3).map(|x| first + DVec2::new(x as f64, 0.0));
+        let texels = row.chunks_exact_mut(3).zip(centers);
+        match &self.paints[slot] {
+            Paint::Image { held, mask, corners, wrap } => {
+                let image = &*self.held[*held];
+                for (texel, center) in texels {
+                    let at = between(corners, weights.at(center));
+                    texel.copy_from_slice(&bilinear(image, *mask, at, *wrap));
+                }
+            }
+            Paint::Corners(corners) => {
+                texels.for_each(|(texel, center)| texel.copy_from_slice(&blended(corners, weights.at(center))));
+            }
+            Paint::Solid(color) => texels.for_each(|(texel, _)| texel.copy_from_slice(color)),
+        }
+    }
+
+    /// Where the paint of a face is.
+    fn remember(&mut self, face: u32) -> usize {
+        let slot = face as usize % REMEMBERED;
+        if self.faces[slot] != face {
+            self.paints[slot] = self.take(face as usize);
+            self.faces[slot] = face;
+        }
+        slot
     }
 
     fn take(&mut self, face: usize) -> Paint<'a> {
@@ -113,6 +142,7 @@ impl<'a> Painter<'a> {
             self.held.clear();
             self.held_bytes = 0;
             self.slots.fill([u32::MAX; LEVELS]);
+            self.faces.fill(u32::MAX);
         }
         self.held_bytes += texels.as_raw().len();
         self.held.push(texels);
@@ -121,46 +151,91 @@ impl<'a> Painter<'a> {
     }
 }
 
+fn between(corners: &[DVec2; 3], weights: [f64; 3]) -> DVec2 {
+    corners[0] * weights[0] + corners[1] * weights[1] + corners[2] * weights[2]
+}
+
+fn blended(corners: &[[u8; 3]; 3], weights: [f64; 3]) -> [u8; 3] {
+    std::array::from_fn(|c| {
+        let sum: f64 = (0..3).map(|i| f64::from(corners[i][c]) * weights[i]).sum();
+        // Float to byte saturates.
+        (sum + 0.5) as u8
+    })
+}
+
 /// Bilinear sample at `at` (texels; centres at halves) of the texels `mask` admits, in sRGB: between neighbours of
 /// one level linear light makes no visible difference, and the renderer's own filter does the same.
+#[inline]
 pub(super) fn bilinear(image: &RgbImage, mask: Option<&Mask>, at: DVec2, wrap: [bool; 2]) -> [u8; 3] {
     let (width, height) = image.dimensions();
     let (xs, fx) = taps(at.x, width, wrap[0]);
     let (ys, fy) = taps(at.y, height, wrap[1]);
-    let mut weights = [(256 - fx) * (256 - fy), fx * (256 - fy), (256 - fx) * fy, fx * fy];
-    if let Some(mask) = mask {
-        let mut total = 0;
-        for (i, weight) in weights.iter_mut().enumerate() {
-            if !mask.get(xs[i & 1], ys[i >> 1]) {
-                *weight = 0;
-            }
-            total += *weight;
-        }
-        if total == 0 {
-            // Outside of everything used, which only rounding can cause: take the nearest texel as it is.
-            weights[usize::from(fx >= 128) + 2 * usize::from(fy >= 128)] = 1;
-        }
+    let weights = [(256 - fx) * (256 - fy), fx * (256 - fy), (256 - fx) * fy, fx * fy];
+    if let Some(mask) = mask
+        && !(mask.get(xs[0], ys[0]) && mask.get(xs[1], ys[0]) && mask.get(xs[0], ys[1]) && mask.get(xs[1], ys[1]))
+    {
+        return bilinear_of_used(image, mask, xs, ys, [fx, fy], weights);
     }
-    let total: u32 = weights.iter().sum();
+    let rows = [ys[0] as usize * width as usize, ys[1] as usize * width as usize];
+    let columns = [xs[0] as usize, xs[1] as usize];
+    let texel = |column: usize, row: usize| {
+        let offset = (row + column) * 3;
+        &image.as_raw()[offset..offset + 3]
+    };
+    let [a, b] = [texel(columns[0], rows[0]), texel(columns[1], rows[0])];
+    let [c, d] = [texel(columns[0], rows[1]), texel(columns[1], rows[1])];
+    let channel = |i: usize| {
+        let upper = u32::from(a[i]) * weights[0] + u32::from(b[i]) * weights[1];
+        let lower = u32::from(c[i]) * weights[2] + u32::from(d[i]) * weights[3];
+        // The weights are 65536 together.
+        ((upper + lower + (1 << 15)) >> 16) as u8
+    };
+    [channel(0), channel(1), channel(2)]
+}
+
+/// The same, where some of the four texels are not used.
+#[cold]
+fn bilinear_of_used(
+    image: &RgbImage,
+    mask: &Mask,
+    xs: [u32; 2],
+    ys: [u32; 2],
+    [fx, fy]: [u32; 2],
+    mut weights: [u32; 4],
+) -> [u8; 3] {
+    let mut total = 0;
+    for (i, weight) in weights.iter_mut().enumerate() {
+        if !mask.get(xs[i & 1], ys[i >> 1]) {
+            *weight = 0;
+        }
+        total += *weight;
+    }
+    if total == 0 {
+        // Outside of everything used, which only rounding can cause: take the nearest texel as it is.
+        weights[usize::from(fx >= 128) + 2 * usize::from(fy >= 128)] = 1;
+        total = 1;
+    }
     let mut sum = [total / 2; 3];
-    let texels = image.as_raw();
     for (i, weight) in weights.into_iter().enumerate() {
-        let offset = (ys[i >> 1] as usize * width as usize + xs[i & 1] as usize) * 3;
+        let offset = (ys[i >> 1] as usize * image.width() as usize + xs[i & 1] as usize) * 3;
         for c in 0..3 {
-            sum[c] += u32::from(texels[offset + c]) * weight;
+            sum[c] += u32::from(image.as_raw()[offset + c]) * weight;
         }
     }
-    // The usual case is 65536, where the division is a shift.
-    if total == 1 << 16 { sum.map(|s| (s >> 16) as u8) } else { sum.map(|s| (s / total) as u8) }
+    sum.map(|s| (s / total) as u8)
 }
 
 /// The two texels around `at` on one axis and the weight of the second in 256ths.
+#[inline]
 fn taps(at: f64, side: u32, wrap: bool) -> ([u32; 2], u32) {
-    let low = (at - 0.5).floor();
-    let weight = ((at - 0.5 - low) * 256.0) as u32;
     // Casting saturates, and NaN becomes 0: whatever comes in, the taps are inside.
-    let (low, side) = (low as i64, i64::from(side));
-    let inside = |x: i64| (if wrap { x.rem_euclid(side) } else { x.clamp(0, side - 1) }) as u32;
+    let low = floor(at - 0.5);
+    let weight = ((at - 0.5 - low as f64) * 256.0) as u32;
+    let side = i64::from(side);
+    let inside = |x: i64| {
+        let within = if wrap && !(0..side).contains(&x) { x.rem_euclid(side) } else { x.clamp(0, side - 1) };
+        within as u32
+    };
     ([inside(low), inside(low.saturating_add(1))], weight.min(256))
 }
 

@@ -12,6 +12,9 @@
 //! No texel shows what the source mesh does not use: `no_background_shines_through`.
 //! # Cost
 //! Source faces are set up once per block they touch; memory is one block of 240² texels and the atlas.
+//! A house of 60 tiles and a town of 226 build in 0.97 of the processor time they took with faces set up for each run
+//! of texels and edges divided in each row (one run each). Before that, drawing the source was the largest part: a
+//! quarter of a bake.
 
 use glam::{DVec2, DVec3};
 use image::{Rgb, RgbImage};
@@ -34,6 +37,8 @@ mod tests;
 
 /// Side of a block, samples: its buffers stay in the cache, and 1 to 4 samples a texel divide it.
 const BLOCK: u32 = 240;
+/// Faces of the source whose weights are remembered within a block: row by row, the same few come again and again.
+const REMEMBERED: usize = 512;
 /// No texel is smaller, metres.
 const SMALLEST_TEXEL_M: f64 = 1e-6;
 
@@ -73,14 +78,16 @@ pub fn bake(
         return Err(no_room(charts.len(), config));
     };
     let texel_m = wanted_m / scale;
+    let samples = config.samples.clamp(1, 4);
     let mut baker = Baker {
         tile,
         source,
         texel_m,
-        samples: config.samples.max(1),
+        samples,
         search_m: config.search_texels * texel_m,
-        painter: Painter::new(source.surface, images, texel_m / f64::from(config.samples.max(1))),
+        painter: Painter::new(source.surface, images, texel_m / f64::from(samples)),
         block: Block::default(),
+        weights: vec![(NONE, Barycentric::default()); REMEMBERED],
         atlas: RgbImage::new(packing.size[0], packing.size[1]),
         painted: Mask::new(packing.size[0], packing.size[1]),
     };
@@ -125,6 +132,8 @@ struct Baker<'a> {
     search_m: f64,
     painter: Painter<'a>,
     block: Block,
+    /// By face, modulo their number.
+    weights: Vec<(u32, Barycentric)>,
     atlas: RgbImage,
     painted: Mask,
 }
@@ -172,22 +181,16 @@ impl Baker<'_> {
 
     /// Colours the block's texels into the atlas at `at`; returns how many.
     fn shade(&mut self, view: &View, at: [u32; 2]) -> u32 {
+        self.weights.iter_mut().for_each(|of| of.0 = NONE);
         let s = self.samples;
         let mut painted = 0;
-        let mut last = (u32::MAX, Barycentric::default());
-        let mut found = Vec::with_capacity((s * s) as usize);
         for y in 0..self.block.size[1] / s {
+            if s == 1 {
+                painted += self.shade_row(view, y, [at[0], at[1] + y]);
+                continue;
+            }
             for x in 0..self.block.size[0] / s {
-                found.clear();
-                for sample in 0..s * s {
-                    let (x, y) = (x * s + sample % s, y * s + sample / s);
-                    found.extend(self.sample(view, x, y, &mut last));
-                }
-                let color = match found[..] {
-                    [] => continue,
-                    [color] => color,
-                    _ => mean(found.iter().map(|&c| (c, 1))).map_or(GREY, |(color, _)| color),
-                };
+                let Some(color) = self.mean_color(view, [x * s, y * s]) else { continue };
                 self.atlas.put_pixel(at[0] + x, at[1] + y, Rgb(color));
                 self.painted.set(at[0] + x, at[1] + y);
                 painted += 1;
@@ -196,7 +199,51 @@ impl Baker<'_> {
         painted
     }
 
-    fn sample(&mut self, view: &View, x: u32, y: u32, last: &mut (u32, Barycentric)) -> Option<[u8; 3]> {
+    /// Colours one row of samples as texels at `at` and to its right, texels of one face together; returns how many.
+    fn shade_row(&mut self, view: &View, y: u32, at: [u32; 2]) -> u32 {
+        let width = self.block.size[0] as usize;
+        let (row, texels) = (y as usize * width, at[1] as usize * self.atlas.width() as usize + at[0] as usize);
+        let (mut x, mut painted) = (0, 0);
+        while x < width {
+            let (from, face) = (x, self.block.face[row + x]);
+            x += 1;
+            if face == NONE {
+                let Some(color) = self.sample(view, from as u32, y) else { continue };
+                self.atlas.put_pixel(at[0] + from as u32, at[1], Rgb(color));
+            } else {
+                while x < width && self.block.face[row + x] == face {
+                    x += 1;
+                }
+                let weights = self.weights_of(face, view);
+                let first = DVec2::new(from as f64, f64::from(y)) + 0.5;
+                let all: &mut [u8] = &mut self.atlas;
+                self.painter.color_row(face, &weights, first, &mut all[3 * (texels + from)..3 * (texels + x)]);
+            }
+            self.painted.set_span(at[1], at[0] + from as u32, at[0] + x as u32);
+            painted += (x - from) as u32;
+        }
+        painted
+    }
+
+    /// The mean of a texel's samples, the first of them at `low`; none if all are.
+    fn mean_color(&mut self, view: &View, low: [u32; 2]) -> Option<[u8; 3]> {
+        let s = self.samples;
+        // 1 to 4 a side.
+        let (mut found, mut count) = ([[0; 3]; 16], 0);
+        for i in 0..s * s {
+            if let Some(color) = self.sample(view, low[0] + i % s, low[1] + i / s) {
+                found[count] = color;
+                count += 1;
+            }
+        }
+        match found[..count] {
+            [] => None,
+            [color] => Some(color),
+            ref all => Some(mean(all.iter().map(|&c| (c, 1))).map_or(GREY, |(color, _)| color)),
+        }
+    }
+
+    fn sample(&mut self, view: &View, x: u32, y: u32) -> Option<[u8; 3]> {
         let i = (y * self.block.size[0] + x) as usize;
         let depth = self.block.depth[i];
         if depth.is_nan() {
@@ -208,10 +255,18 @@ impl Baker<'_> {
             let hit = self.source.bvh.closest(view.point(center, depth.into()), self.search_m)?;
             return Some(self.color_at(hit.face, hit.point));
         }
-        if last.0 != face {
-            *last = (face, Barycentric::of(self.source.surface.corners(face as usize).map(|p| view.pixel(p))));
+        let weights = self.weights_of(face, view);
+        Some(self.painter.color(face, weights.at(center)))
+    }
+
+    /// How a face of the source lies in the block.
+    fn weights_of(&mut self, face: u32, view: &View) -> Barycentric {
+        let own = &mut self.weights[face as usize % REMEMBERED];
+        if own.0 != face {
+            let [a, b, c] = self.source.surface.corners(face as usize);
+            *own = (face, Barycentric::of([view.pixel(a), view.pixel(b), view.pixel(c)]));
         }
-        Some(self.painter.color(face, last.1.at(center)))
+        own.1
     }
 
     fn color_at(&mut self, face: u32, p: DVec3) -> [u8; 3] {

@@ -229,22 +229,22 @@ fn halve(fine: &RgbImage, weight: impl Fn(u32, u32) -> u32) -> (RgbImage, Vec<u3
             let light = |at: usize, c: usize| u32::from(linear[usize::from(texels[at + c])]);
             if own[0] == own[1] && own[0] == own[2] && own[0] == own[3] {
                 // Whatever the weight, the quotient is the same: nearly all texels, without a division.
-                for c in 0..3 {
+                for (c, own) in texel.iter_mut().enumerate() {
                     let sum = light(at, c) + light(at + 3, c) + light(below, c) + light(below + 3, c);
-                    texel[c] = srgb[((sum + 2) >> 2) as usize];
+                    *own = srgb[((sum + 2) >> 2) as usize];
                 }
                 continue;
             }
             let (mut sum, total) = ([0_u64; 3], u64::from(total));
             for (at, weight) in [at, at + 3, below, below + 3].into_iter().zip(own) {
                 if weight > 0 {
-                    for c in 0..3 {
-                        sum[c] += u64::from(light(at, c)) * u64::from(weight);
+                    for (c, sum) in sum.iter_mut().enumerate() {
+                        *sum += u64::from(light(at, c)) * u64::from(weight);
                     }
                 }
             }
-            for c in 0..3 {
-                texel[c] = srgb[((sum[c] + total / 2) / total) as usize];
+            for (own, sum) in texel.iter_mut().zip(sum) {
+                *own = srgb[((sum + total / 2) / total) as usize];
             }
         }
     }

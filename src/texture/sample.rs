@@ -218,8 +218,8 @@ fn bilinear_of_used(
     let mut sum = [total / 2; 3];
     for (i, weight) in weights.into_iter().enumerate() {
         let offset = (ys[i >> 1] as usize * image.width() as usize + xs[i & 1] as usize) * 3;
-        for c in 0..3 {
-            sum[c] += u32::from(image.as_raw()[offset + c]) * weight;
+        for (c, sum) in sum.iter_mut().enumerate() {
+            *sum += u32::from(image.as_raw()[offset + c]) * weight;
         }
     }
     sum.map(|s| (s / total) as u8)

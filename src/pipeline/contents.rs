@@ -10,12 +10,12 @@
 //! tiles' errors too large. All tiles of the first kind can be made at the same time, the others level by level.
 //!
 //! # Cost
-//! Of a build of a scan (0.77 million triangles, 275 images, one thread) the collapse takes 32 %, distances 28 %, the bake
-//! 18 %, ingest 8 %, classes 3 %, masks of used texels 2 %, coding and decoding JPEG 3 %, trees, mips, leaves and GLB 4 %.
+//! Of a build of a town (3.0 million triangles, 462 images, one thread, 24 µs a triangle) the collapse takes 37 %, distances
+//! 20 %, other parts of tiles (bakes, masks of used texels, JPEG, trees, leaves, GLB) 33 %, classes 6 %, ingest 4 %.
 //! Every level is measured and painted from the source itself: finer tiles in its place would be cheaper, but what one
 //! class lost there would count for all of them.
-//! Nothing stands out: there are 18 bakes of 14 million texels, 17 million times that a source face comes near a block of
-//! one, 3 million source faces measured and 6 million searches. To hold small source faces against each texel near them
+//! Of a scan (0.77 million triangles, 275 images) there are 18 bakes of 14 million texels, 17 million times that a source face comes near a block of
+//! one, and 3 million source faces measured. To hold small source faces against each texel near them
 //! instead of row by row took 0.997 of the time of a build.
 
 use std::collections::{BTreeMap, BTreeSet};

@@ -150,21 +150,29 @@ impl Hierarchy<'_> {
     /// Steps on until no inner cell of `depth` has more than `most` faces and the level is worth having; returns the
     /// last scale.
     fn collapse(&mut self, depth: u8, most: usize) -> Result<f64> {
-        let tree = &self.city.tree;
+        let levels = &self.job.config.levels;
         let mut progress = Progress::new(self.steps.faces(), most);
         loop {
             self.reporter.check()?;
+            // What the first step leaves nobody can say.
+            if self.steps.count() > 0 && levels.is_far(self.heaviest(), most) {
+                self.scale *= levels.step_ratio;
+            }
             let last = self.scale;
             self.steps.step(last, depth)?;
-            self.scale *= self.job.config.levels.step_ratio;
-            // A model of one cell has no inner one, but its light root is to be light.
-            let has_content = |cell: u32| cell == 0 || tree.0[cell as usize].children.is_some();
-            let inner = self.steps.cells().filter(|(cell, _)| has_content(*cell));
-            let heaviest = inner.map(|(_, faces)| faces as usize).max().unwrap_or(0);
-            if progress.is_done(self.steps.faces(), heaviest) {
+            self.scale *= levels.step_ratio;
+            if progress.is_done(self.steps.faces(), self.heaviest()) {
                 return Ok(last);
             }
         }
+    }
+
+    /// Faces of the heaviest inner cell.
+    fn heaviest(&self) -> usize {
+        // A model of one cell has no inner one, but its light root is to be light.
+        let has_content = |cell: u32| cell == 0 || self.city.tree.0[cell as usize].children.is_some();
+        let inner = self.steps.cells().filter(|(cell, _)| has_content(*cell));
+        inner.map(|(_, faces)| faces as usize).max().unwrap_or(0)
     }
 
     fn add(&mut self, node: Node) {

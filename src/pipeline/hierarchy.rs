@@ -91,7 +91,7 @@ pub(super) fn nodes(
         steps,
         scale: median_edge_m.max(1e-3) * FIRST_TOLERANCE_EDGES / loosest,
         nodes: Vec::new(),
-        of_cell: vec![Vec::new(); city.tree.0.len()],
+        of_cell: vec![Vec::new(); city.tree.cells.len()],
     };
     for leaf in &city.leaves {
         let (faces, source_faces) = (leaf.faces, leaf.faces);
@@ -170,7 +170,7 @@ impl Hierarchy<'_> {
     /// Faces of the heaviest inner cell.
     fn heaviest(&self) -> usize {
         // A model of one cell has no inner one, but its light root is to be light.
-        let has_content = |cell: u32| cell == 0 || self.city.tree.0[cell as usize].children.is_some();
+        let has_content = |cell: u32| cell == 0 || !self.city.tree.cells[cell as usize].is_leaf();
         let inner = self.steps.cells().filter(|(cell, _)| has_content(*cell));
         inner.map(|(_, faces)| faces as usize).max().unwrap_or(0)
     }
@@ -182,10 +182,10 @@ impl Hierarchy<'_> {
 
     fn add_level(&mut self, depth: u8, scale: f64) -> Result<()> {
         let tree = &self.city.tree;
-        let is_inner = |c: &u32| tree.0[*c as usize].depth == depth && tree.0[*c as usize].children.is_some();
-        for cell in (0..tree.0.len() as u32).filter(is_inner) {
-            let below = tree.0[cell as usize].children.into_iter().flatten();
-            let children: Vec<u32> = below.flat_map(|c| self.of_cell[c as usize].clone()).collect();
+        let is_inner = |c: &u32| tree.cells[*c as usize].depth == depth && !tree.cells[*c as usize].is_leaf();
+        for cell in (0..tree.cells.len() as u32).filter(is_inner) {
+            let below = &tree.cells[cell as usize].children;
+            let children: Vec<u32> = below.iter().flat_map(|&c| self.of_cell[c as usize].clone()).collect();
             if self.steps.faces_of(cell) > 0 {
                 self.add_inner(cell, scale, children)?;
             } else {

@@ -27,7 +27,7 @@ use crate::report::Reporter;
 use crate::store::Store;
 use crate::texture::{Images, texels_of};
 use crate::tiles::partition::SNAP_M;
-use crate::tiles::{Census, Quadtree};
+use crate::tiles::{CellTree, Census};
 use crate::{Error, Result};
 
 /// Where the source comes from.
@@ -40,7 +40,7 @@ pub enum Feed {
 
 /// What is known of the whole while its surface is in the store.
 pub(super) struct City {
-    pub tree: Quadtree,
+    pub tree: CellTree,
     pub leaves: Vec<Leaf>,
     pub materials: Vec<Material>,
     pub images: Vec<ImageRef>,
@@ -63,7 +63,7 @@ pub(super) struct Leaf {
 /// What a finished ingest leaves beside the leaves' pages.
 #[derive(Serialize, Deserialize)]
 struct Finished {
-    tree: Quadtree,
+    tree: CellTree,
     leaves: Vec<Leaf>,
     gate: GateReport,
     moved_m: f64,
@@ -245,7 +245,7 @@ impl<'a> Scan<'a> {
             units.keep(mesh);
         }
         drop(images);
-        let tree = Quadtree::of(census, 1.0);
+        let tree = CellTree::of(census, 1.0);
         let mut buckets = Buckets::new(self.store, resources.memory / 8);
         let mut snapped_m = 0f64;
         // A border of one file that lies on a wall is seen by no cell together with another's just beyond it.

@@ -19,7 +19,7 @@ use crate::geo::Rect;
 use crate::report::Reporter;
 use crate::store::{PageReader, Store};
 use crate::tiles::soup::bits;
-use crate::tiles::{Quadtree, Soup};
+use crate::tiles::{CellTree, Soup};
 
 /// Pieces by leaf and file, in memory up to a size, then in pages.
 pub(super) struct Buckets<'a> {
@@ -98,7 +98,7 @@ pub(super) struct Joined {
 /// Makes the leaves' meshes; see the module.
 pub(super) struct Joiner<'a> {
     pub store: &'a Store,
-    pub tree: &'a Quadtree,
+    pub tree: &'a CellTree,
     pub weld_m: f64,
 }
 
@@ -171,7 +171,7 @@ impl Joiner<'_> {
     }
 
     fn is_on_wall(&self, cell: u32, p: DVec3) -> bool {
-        let Rect { min, max } = self.tree.0[cell as usize].plan;
+        let Rect { min, max } = self.tree.cells[cell as usize].plan;
         p.x == min.x || p.x == max.x || p.y == min.y || p.y == max.y
     }
 
@@ -180,7 +180,7 @@ impl Joiner<'_> {
     fn weld_walls(&self, raw: &[Raw]) -> HashMap<[u64; 3], DVec3> {
         let mut all: Vec<(u8, DVec3, [bool; 2])> = Vec::new();
         for leaf in raw {
-            let Rect { min, max } = self.tree.0[leaf.cell as usize].plan;
+            let Rect { min, max } = self.tree.cells[leaf.cell as usize].plan;
             all.extend(leaf.on_walls.iter().map(|p| {
                 let on = [p.x == min.x || p.x == max.x, p.y == min.y || p.y == max.y];
                 (2 - u8::from(on[0]) - u8::from(on[1]), *p, on)

@@ -197,7 +197,7 @@ impl Labeller<'_> {
             let mut mesh = leaf_mesh(self.store, cell)?;
             mesh.materials.clone_from(&self.city.materials);
             all.face_colors.extend(front::colors(&mesh, self.images, self.config));
-            let plan = &self.city.tree.0[cell as usize].plan;
+            let plan = &self.city.tree.cells[cell as usize].plan;
             // Only vertices on a leaf's rim can stand in two leaves.
             let on_rim = |p: &DVec3| (0..2).any(|k| p[k] == plan.min[k] || p[k] == plan.max[k]);
             let mut push = |p: DVec3| {

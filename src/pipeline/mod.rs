@@ -13,7 +13,7 @@ use crate::mesh::GateReport;
 use crate::report::Reporter;
 use crate::store::{Store, memory};
 use crate::texture::Images;
-use crate::tiles::Quadtree;
+use crate::tiles::CellTree;
 use crate::tiles::content::ClassDeviation;
 use crate::tiles::skirt::Hem;
 use crate::write::tileset::bytes as tileset_bytes;
@@ -235,7 +235,7 @@ fn warn_of(root: &TileEntry, config: &Config, out: &Path, reporter: &Reporter) {
 
 /// The nodes as they are written: boxes hold their children's, errors never fall towards the root.
 struct Tree<'a> {
-    cells: &'a Quadtree,
+    cells: &'a CellTree,
     nodes: &'a [Node],
     records: &'a [Record],
     hems: &'a [Hem],

@@ -175,7 +175,7 @@ impl<'a> Steps<'a> {
             return Ok((window.iter().zip(done).map(|(w, d)| (w.cell, d.0)).collect(), collapses));
         }
         let patches: Result<Vec<Patch>> = window.par_iter().map(|w| self.patch(w.cell)).collect();
-        let boxes: Vec<Rect> = window.iter().map(|w| tree.0[w.cell as usize].plan).collect();
+        let boxes: Vec<Rect> = window.iter().map(|w| tree.cells[w.cell as usize].plan).collect();
         let is_inside = |cell: u32| window.binary_search_by_key(&cell, |w| w.cell).is_ok();
         let is_locked = |p: glam::DVec3| {
             let mut outside = false;

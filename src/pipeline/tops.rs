@@ -71,7 +71,7 @@ pub(super) fn keep(city: &City, nodes: &[Node], job: &Job, store: &Store, report
             })
             .collect();
         let asked = asked?;
-        let plan = |tile: usize| &city.tree.0[nodes[tile].cell as usize].plan;
+        let plan = |tile: usize| &city.tree.cells[nodes[tile].cell as usize].plan;
         let mut on_walls: HashMap<_, f64> = HashMap::new();
         for (&tile, (rises, _)) in inner.iter().zip(&asked) {
             let mesh = surface(store, tile)?;

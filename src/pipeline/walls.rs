@@ -25,7 +25,7 @@ pub(super) fn hem(city: &City, nodes: &[Node], job: &Job, store: &Store, reporte
     let stage = reporter.stage("walls", 0);
     let config = job.config;
     let borders: Vec<Border> = for_surfaces(nodes, store, |t, positions, faces| {
-        let plan = city.tree.0[nodes[t].cell as usize].plan;
+        let plan = city.tree.cells[nodes[t].cell as usize].plan;
         // Skirts and heights make a tile wider than its cell; the step doubles, so a little room is enough.
         let rounding_m = if config.write.compress {
             write::quantization_error_of(1.5 * plan.size().max_element() + 10.0)

@@ -8,7 +8,7 @@ use glam::DVec2;
 
 use super::ingest::{Leaf, gap};
 use crate::collapse::window::cut_share;
-use crate::tiles::Quadtree;
+use crate::tiles::CellTree;
 
 /// Odd windows are cut along y up to this ratio of the sides.
 const ODD_PREFERENCE: f64 = 1.5;
@@ -22,7 +22,7 @@ pub(super) struct Weighed {
 
 /// Windows of at most `most` weight, or of one cell; every cell is in one. A k-d tree over the cells' centres, cut at
 /// another share of the weight if `odd`, and there rather along y: so that even of four cells no wall is always cut.
-pub(super) fn split(tree: &Quadtree, cells: Vec<Weighed>, most: u64, odd: bool) -> Vec<Vec<Weighed>> {
+pub(super) fn split(tree: &CellTree, cells: Vec<Weighed>, most: u64, odd: bool) -> Vec<Vec<Weighed>> {
     let total: u64 = cells.iter().map(|c| c.weight).sum();
     if cells.is_empty() {
         return Vec::new();
@@ -32,7 +32,7 @@ pub(super) fn split(tree: &Quadtree, cells: Vec<Weighed>, most: u64, odd: bool) 
         cells.sort_by_key(|c| c.cell);
         return vec![cells];
     }
-    let at = |c: &Weighed| tree.0[c.cell as usize].plan.center();
+    let at = |c: &Weighed| tree.cells[c.cell as usize].plan.center();
     let low = cells.iter().map(at).fold(DVec2::INFINITY, DVec2::min);
     let high = cells.iter().map(at).fold(DVec2::NEG_INFINITY, DVec2::max);
     let axis = usize::from((high.y - low.y) * if odd { ODD_PREFERENCE } else { 1.0 } > high.x - low.x);
@@ -54,8 +54,8 @@ pub(super) fn split(tree: &Quadtree, cells: Vec<Weighed>, most: u64, odd: bool) 
 }
 
 /// The leaves within `reach_m` of a window's, nearest first, as long as both together have at most `most` faces.
-pub(super) fn halo(tree: &Quadtree, leaves: &[Leaf], window: &[Weighed], reach_m: f64, most: u64) -> Vec<u32> {
-    let plan = |cell: u32| &tree.0[cell as usize].plan;
+pub(super) fn halo(tree: &CellTree, leaves: &[Leaf], window: &[Weighed], reach_m: f64, most: u64) -> Vec<u32> {
+    let plan = |cell: u32| &tree.cells[cell as usize].plan;
     let is_own = |cell: u32| window.iter().any(|w| w.cell == cell);
     let distance = |cell: u32| window.iter().map(|w| gap(plan(w.cell), plan(cell))).fold(f64::INFINITY, f64::min);
     let mut around: Vec<(f64, Reverse<usize>, u32)> = leaves
@@ -87,7 +87,7 @@ mod tests {
     use crate::tiles::Census;
 
     /// A square of four leaves.
-    fn four() -> Quadtree {
+    fn four() -> CellTree {
         let mut census = Census::over(Rect { min: DVec2::ZERO, max: DVec2::splat(64.0) });
         let at = |x: f64, y: f64| DVec3::new(x, y, 0.0);
         let mut mesh = Mesh::default();
@@ -97,7 +97,7 @@ mod tests {
             mesh.faces.push([first, first + 1, first + 2]);
         }
         census.count(&mesh, |_| 1.0);
-        Quadtree::of(census, 1.0)
+        CellTree::of(census, 1.0)
     }
 
     #[test]
@@ -107,8 +107,8 @@ mod tests {
         let windows = |odd| -> Vec<Vec<u32>> {
             split(&tree, cells(), 20, odd).iter().map(|w| w.iter().map(|c| c.cell).collect()).collect()
         };
-        assert_eq!(windows(false), [[1, 3], [2, 4]]);
-        assert_eq!(windows(true), [[1, 2], [3, 4]]);
+        assert_eq!(windows(false), [[1, 2], [3, 4]]);
+        assert_eq!(windows(true), [[1, 3], [2, 4]]);
         assert_eq!(split(&tree, cells(), 40, false).len(), 1);
         assert_eq!(split(&tree, cells(), 5, false).len(), 4, "a cell is never split");
     }

@@ -9,5 +9,5 @@ pub mod skirt;
 pub mod soup;
 
 pub use levels::{LevelsConfig, TileMesh};
-pub use partition::{Census, Quadtree};
+pub use partition::{CellTree, Census};
 pub use soup::Soup;

@@ -21,7 +21,7 @@ pub const PRESETS: [Preset; 4] = [
             ("budget.facade", "0.1"),
             ("budget.terrain", "0.2"),
             ("budget.clutter", "0.4"),
-            ("levels.step_ratio", "2.0"),
+            ("levels.step_ratio", "4.0"),
             ("texture.max_atlas_px", "2048"),
             ("texture.jpeg_quality", "75"),
             ("texture.coarse_jpeg_quality", "65"),

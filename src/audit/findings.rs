@@ -90,8 +90,7 @@ pub fn of(audit: &Audit) -> Vec<Fault> {
     let seams = &audit.seams;
     let within = "tiles of one level do not meet";
     seams.cracks.iter().for_each(|crack| faults.push(crack_of(audit, "crack", crack, within)));
-    let across =
-        "a tile and its finer neighbour are further apart than the coarser one's error, and no skirt is as deep";
+    let across = "a tile and its finer neighbour are further apart than the error and the skirts of either account for";
     seams.cracks_across.iter().for_each(|crack| faults.push(crack_of(audit, "crack-across-levels", crack, across)));
     of_openings(audit, &mut faults);
     of_obstacles(audit, &mut faults);

@@ -6,10 +6,11 @@
 //! 1. an edge that one face only uses is border; vertices are joined where they are equal to the last bit
 //! 2. two tiles are neighbours if the boxes of their triangles touch; their seam is where these overlap
 //! 3. each border vertex in the seam (or between two that are) to the nearest border edge of the neighbour: the gap;
-//!    a vertex that meets one neighbour is not held against another, and where the neighbour's border is met by this
+//!    a vertex that meets one neighbour is not held against another that is drawn beside it, and where the neighbour's border is met by this
 //!    tile's all the same, it is the surface that is open and nothing was torn
 //! 4. a vertex that only touches the seam, or stands off it, is held against the finest surface first: if that is open
-//!    there, more than twice as near as the neighbour's border, the vertex is of that rim and not of the seam
+//!    there, more than twice as near as the neighbour's border, the vertex is of that rim and not of the seam; so is one
+//!    where the border turns off the seam and the finest surface's end is nearer than the neighbour
 //!
 //! # Limits
 //! A vertex further than [`SeamConfig::reach_m`] from the neighbour's border has no partner and does not count: the
@@ -177,7 +178,7 @@ pub struct Seams {
     pub rows: Vec<SeamRow>,
     /// Cracks within levels and within the finest surface, the widest first.
     pub cracks: Vec<Crack>,
-    /// Across levels, wider than the coarser tile's stated error; the widest first.
+    /// Across levels, wider than the stated error and the skirts of either tile; the widest first.
     pub cracks_across: Vec<Crack>,
 }
 
@@ -201,7 +202,8 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
     };
     let pairs = neighbours(tileset, borders, &between);
     let trees: Vec<Option<Bvh>> = borders.par_iter().map(tree).collect();
-    let met = met(borders, &trees, &pairs, config);
+    let around = around(borders.len(), &pairs);
+    let met = met(borders, &trees, &around, config);
     let finest = (0..borders.len()).filter(|&t| !cover.has_finer(t));
     let rim = tree(&rim(finest.map(|t| (&borders[t], &met[t][..]))));
     let found: Vec<([usize; 2], [Found; 2])> = pairs
@@ -209,11 +211,21 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
         .map(|[a, b]| {
             // Of the finest surface, what is torn there is its rim too.
             let rim = rim.as_ref().filter(|_| between(a, b) != Some(Between::Finest));
-            let one = |a: usize, b: usize| {
-                let trees = [trees[a].as_ref(), trees[b].as_ref()];
-                gaps([&borders[a], &borders[b]], [&met[a], &met[b]], trees, rim, config)
+            // A tile below or above one of the two is not drawn beside it, whatever it meets.
+            let beside = |of: usize, other: usize| -> Vec<bool> {
+                let zone = seam(&borders[of].aabb, &borders[other].aabb, config.reach_m);
+                let may = |c: &&usize| !is_above(tileset, **c, other) && !is_above(tileset, other, **c);
+                let others: Vec<usize> = around[of].iter().filter(may).copied().collect();
+                let meets = |(p, met): (&DVec3, &bool)| {
+                    *met && zone.contains(*p, 0.0) && is_met(*p, borders, &trees, &others, config)
+                };
+                borders[of].points.iter().zip(&met[of]).map(meets).collect()
             };
-            ([a, b], [one(a, b), one(b, a)])
+            let met = [beside(a, b), beside(b, a)];
+            let one = |[a, b]: [usize; 2], met: [&[bool]; 2]| {
+                gaps([&borders[a], &borders[b]], met, [trees[a].as_ref(), trees[b].as_ref()], rim, config)
+            };
+            ([a, b], [one([a, b], [&met[0], &met[1]]), one([b, a], [&met[1], &met[0]])])
         })
         .collect();
     let mut seams = Seams::default();
@@ -260,11 +272,11 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
     seams
 }
 
-/// How far a tile may be from a finer neighbour: as its error allows, and as the skirts hide that it says it has.
+/// How far a tile may be from a finer neighbour: as its error allows beyond what the skirts hide that it says it has.
 fn across_m(tile: &Tile) -> f64 {
     let properties = tile.metadata.as_ref().and_then(|m| m.get("properties"));
     let skirt_m = properties.and_then(|p| p.get("skirtDepth")?.as_f64()).filter(|m| m.is_finite());
-    skirt_m.unwrap_or(0.0).max(tile.geometric_error_m)
+    skirt_m.unwrap_or(0.0) + tile.geometric_error_m
 }
 
 /// Pairs of tiles whose boxes touch and that may be seen together, none above the other.
@@ -303,23 +315,30 @@ fn is_above(tileset: &Tileset, upper: usize, tile: usize) -> bool {
     false
 }
 
-/// Per tile and border vertex whether any neighbour's border meets it: where three tiles meet, one partner is enough.
-fn met(borders: &[Border], trees: &[Option<Bvh>], pairs: &[[usize; 2]], config: &SeamConfig) -> Vec<Vec<bool>> {
-    let mut neighbours = vec![Vec::new(); borders.len()];
+/// The neighbours of each of `count` tiles.
+fn around(count: usize, pairs: &[[usize; 2]]) -> Vec<Vec<usize>> {
+    let mut around = vec![Vec::new(); count];
     for &[a, b] in pairs {
-        neighbours[a].push(b);
-        neighbours[b].push(a);
+        around[a].push(b);
+        around[b].push(a);
     }
+    around
+}
+
+/// Whether the border of any of `others` passes a point.
+fn is_met(p: DVec3, borders: &[Border], trees: &[Option<Bvh>], others: &[usize], config: &SeamConfig) -> bool {
+    others.iter().any(|&o| {
+        borders[o].aabb.contains(p, config.match_m)
+            && trees[o].as_ref().is_some_and(|tree| tree.closest(p, config.match_m).is_some())
+    })
+}
+
+/// Per tile and border vertex whether any neighbour's border meets it: where three tiles meet, one partner is enough.
+fn met(borders: &[Border], trees: &[Option<Bvh>], around: &[Vec<usize>], config: &SeamConfig) -> Vec<Vec<bool>> {
     let of_tile = |(own, others): (&Border, &Vec<usize>)| {
-        let is_met = |p: &DVec3| {
-            others.iter().any(|&o| {
-                borders[o].aabb.contains(*p, config.match_m)
-                    && trees[o].as_ref().is_some_and(|tree| tree.closest(*p, config.match_m).is_some())
-            })
-        };
-        own.points.iter().map(is_met).collect()
+        own.points.iter().map(|p| is_met(*p, borders, trees, others, config)).collect()
     };
-    borders.par_iter().zip(&neighbours).map(of_tile).collect()
+    borders.par_iter().zip(around).map(of_tile).collect()
 }
 
 /// The edges of some borders that no neighbour meets: where the surface itself ends.
@@ -369,13 +388,19 @@ fn gaps(
     let missed: Vec<DVec3> = lone.map(|(p, _)| *p).collect();
     let is_missed = |p: DVec3| missed.iter().any(|q| q.distance_squared(p) <= MISSED_M * MISSED_M);
     let mut counts = is_in.clone();
-    // With none of its neighbours in the seam a vertex may be where the border of a hole touches it.
-    let mut is_doubtful = vec![true; of.points.len()];
+    // With none of its neighbours in the seam a vertex may be where the border of a hole touches it; with one it may be
+    // where the surface ends, and both tiles may have shrunk from there. So much of the gap the rim may be away.
+    let mut doubt = vec![0.5; of.points.len()];
     for group in links.chunk_by(|a, b| a.0 == b.0) {
         let in_seam = group.iter().filter(|(_, n)| is_in[*n as usize]).count();
         let own = group[0].0 as usize;
         let p = of.points[own];
-        is_doubtful[own] = in_seam == 0 || !is_in[own];
+        doubt[own] = match in_seam {
+            _ if !is_in[own] => 0.5,
+            0 => 0.5,
+            1 => 1.0,
+            _ => 0.0,
+        };
         counts[own] |= in_seam >= 2 && zone.contains(p, MOVED_M) && is_missed(p);
     }
     let gap_at = |v: usize| {
@@ -386,7 +411,7 @@ fn gaps(
         // What the neighbour has there this tile has too: the surface itself is open and its border only ends at the seam.
         let is_of_surface = || own.closest(hit.point, config.match_m).is_some();
         let is_of_rim =
-            || is_doubtful[v] && rim.is_some_and(|rim| rim.closest(of.points[v], 0.5 * hit.distance).is_some());
+            || doubt[v] > 0.0 && rim.is_some_and(|rim| rim.closest(of.points[v], doubt[v] * hit.distance).is_some());
         (!met[v] && !is_of_surface() && !is_of_rim()).then_some(hit.distance)
     };
     let gap: Vec<Option<f64>> = (0..of.points.len()).map(|v| counts[v].then(|| gap_at(v)).flatten()).collect();
@@ -429,7 +454,7 @@ mod tests {
         let config = SeamConfig::default();
         let trees = [tree(a), tree(b)];
         let borders = [a, b].map(Border::clone);
-        let met = met(&borders, &trees, &[[0, 1]], &config);
+        let met = met(&borders, &trees, &[vec![1], vec![0]], &config);
         let one = |a: usize, b: usize| {
             gaps([&borders[a], &borders[b]], [&met[a], &met[b]], [trees[a].as_ref(), trees[b].as_ref()], None, &config)
         };
@@ -501,7 +526,7 @@ mod tests {
         right.points.iter_mut().for_each(|p| p.z += 0.3 * f64::from(p.x == 1.0 && p.y > 0.5 && p.y < 3.5));
         let trees = [tree(&left), tree(&right)];
         let borders = [left, right];
-        let met = met(&borders, &trees, &[[0, 1]], &SeamConfig::default());
+        let met = met(&borders, &trees, &[vec![1], vec![0]], &SeamConfig::default());
         let widest = |rim: Option<&Bvh>| {
             let trees = [trees[0].as_ref(), trees[1].as_ref()];
             let all = gaps([&borders[0], &borders[1]], [&met[0], &met[1]], trees, rim, &SeamConfig::default());

@@ -3,6 +3,8 @@
 //! In: a [`City`] whose leaves have labels. Out: [`Node`]s, children before parents, the root last; the surface of each
 //! inner one is a page of the store.
 
+use std::collections::BTreeMap;
+
 use rayon::prelude::*;
 
 use super::ingest::{City, leaf_mesh};
@@ -113,7 +115,7 @@ struct Hierarchy<'a> {
     store: &'a Store,
     reporter: &'a Reporter,
     steps: Steps<'a>,
-    /// Of the next step.
+    /// Of the last step; before it, of the first.
     scale: f64,
     nodes: Vec<Node>,
     /// Tiles that stand for each cell so far: one, or none, or the children's where nothing of the cell was left.
@@ -124,7 +126,6 @@ impl Hierarchy<'_> {
     fn make(&mut self) -> Result<()> {
         let levels = &self.job.config.levels;
         for depth in (0..self.city.tree.depth()).rev() {
-            self.steps.merge(depth, self.scale)?;
             let scale = self.collapse(depth, levels.tile_faces)?;
             self.add_level(depth, scale)?;
         }
@@ -151,28 +152,31 @@ impl Hierarchy<'_> {
     /// last scale.
     fn collapse(&mut self, depth: u8, most: usize) -> Result<f64> {
         let levels = &self.job.config.levels;
-        let mut progress = Progress::new(self.steps.faces(), most);
+        let mut progress = Progress::new(self.steps.faces(), self.heaviest(depth), most);
+        // What the first step of all will leave nobody can say.
+        let mut ratio = if self.steps.count() > 0 { progress.ratio(levels.step_ratio) } else { 1.0 };
+        self.steps.merge(depth, self.scale * ratio)?;
         loop {
             self.reporter.check()?;
-            // What the first step leaves nobody can say.
-            if self.steps.count() > 0 && levels.is_far(self.heaviest(), most) {
-                self.scale *= levels.step_ratio;
+            self.scale *= ratio;
+            self.steps.step(self.scale, depth)?;
+            if progress.is_done(ratio, self.steps.faces(), self.heaviest(depth)) {
+                return Ok(self.scale);
             }
-            let last = self.scale;
-            self.steps.step(last, depth)?;
-            self.scale *= levels.step_ratio;
-            if progress.is_done(self.steps.faces(), self.heaviest()) {
-                return Ok(last);
-            }
+            ratio = progress.ratio(levels.step_ratio);
         }
     }
 
-    /// Faces of the heaviest inner cell.
-    fn heaviest(&self) -> usize {
+    /// Faces in the heaviest inner cell of `depth`.
+    fn heaviest(&self, depth: u8) -> usize {
+        let tree = &self.city.tree;
+        let mut of_cell: BTreeMap<u32, u64> = BTreeMap::new();
+        for (cell, faces) in self.steps.cells() {
+            *of_cell.entry(tree.ancestor(cell, depth)).or_default() += faces;
+        }
         // A model of one cell has no inner one, but its light root is to be light.
-        let has_content = |cell: u32| cell == 0 || !self.city.tree.cells[cell as usize].is_leaf();
-        let inner = self.steps.cells().filter(|(cell, _)| has_content(*cell));
-        inner.map(|(_, faces)| faces as usize).max().unwrap_or(0)
+        let inner = of_cell.iter().filter(|(cell, _)| **cell == 0 || !tree.cells[**cell as usize].is_leaf());
+        inner.map(|(_, faces)| *faces as usize).max().unwrap_or(0)
     }
 
     fn add(&mut self, node: Node) {

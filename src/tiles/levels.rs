@@ -2,11 +2,10 @@
 //!
 //! # Method
 //! 1. Leaves show the source itself.
-//! 2. For each depth, deepest first, the surface collapses in steps of [`LevelsConfig::step_ratio`] with the walls of
-//!    that depth kept, until no tile has more than [`LevelsConfig::tile_faces`] faces and the level has lost at least
-//!    a third of the level below. Faces fall 2.1–2.7 times for a doubling of scale on real meshes, so a quadtree level
-//!    needs about three times the scale of the one below. A step that cannot be the last is left out: three in eleven of
-//!    a town, with 0.67 of the time of the collapse, the same levels, and mean errors 0 to 3 % lower.
+//! 2. For each depth, deepest first, the surface collapses in steps with the walls of that depth kept, until no tile has
+//!    more than [`LevelsConfig::tile_faces`] faces and the level has lost at least a third of the level below. The last
+//!    step tells how fast faces fall with scale, and so how far the next must go. Of a town's five levels that takes 9
+//!    steps; steps of 1.6 each took 11, half again as much time, and overshot.
 //! 3. A root that is still heavy gets lighter roots on top of it, so that the first view loads at once.
 
 use glam::DVec3;
@@ -33,8 +32,7 @@ pub struct LevelsConfig {
     /// A tile is measured against the source below it as long as that has at most this many faces, else against finer
     /// tiles; it takes 0.4 kB of memory for each. Default: 1 000 000.
     pub reference_faces: usize,
-    /// Scale of a step over that of the step before. Default: 1.6: larger steps overshoot the faces a
-    /// tile may have, smaller ones try every edge more often and end up no nearer to the source.
+    /// Scale of a step over that of the step before, at most. Default: 2.56.
     pub step_ratio: f64,
     /// Strips along the walls of cells that hide gaps between tiles of different levels: `"auto"`, `"off"`, or their
     /// depth in metres. Default: `"auto"`, as deep as the gaps.
@@ -53,7 +51,7 @@ impl Default for LevelsConfig {
             root_faces: 8_000,
             window_faces: 2_000_000,
             reference_faces: 1_000_000,
-            step_ratio: 1.6,
+            step_ratio: 2.56,
             skirts: Skirts::Auto,
             keep_tops: false,
         }
@@ -83,19 +81,17 @@ impl LevelsConfig {
         }
         faults
     }
-
-    /// True where one step will not bring a tile of `heaviest` faces down to `most`, so that it may be left out.
-    pub fn is_far(&self, heaviest: usize, most: usize) -> bool {
-        heaviest as f64 > most as f64 * MOST_LOST_A_DOUBLING.powf(self.step_ratio.log2())
-    }
 }
 
-/// Faces fall at most so many times for a doubling of scale.
-const MOST_LOST_A_DOUBLING: f64 = 2.7;
 /// The first step's tolerance as a share of the median edge: below it almost nothing collapses.
 pub const FIRST_TOLERANCE_EDGES: f64 = 1.0 / 16.0;
 /// A level must lose at least this share of the faces of the level below: less is not worth a level.
 pub const LEAST_REDUCTION: f64 = 0.3;
+/// Faces fall 2.1–2.7 times for a doubling of scale, and 1.5 times near the source.
+const USUAL_POWER: f64 = 1.15;
+/// A step goes a little further than it seems it must, for another step costs more than what it spoils.
+const AIM: f64 = 0.93;
+const LEAST_RATIO: f64 = 1.15;
 /// A step that loses less than this share buys too little for its error; after two of them in a row a level is taken as
 /// it is, or the surface would be spoilt for faces that it cannot lose.
 const STALLED_SHARE: f64 = 0.1;
@@ -118,29 +114,48 @@ pub struct TileMesh {
     pub labels: Vec<ClassId>,
 }
 
-/// Decides after each step of a level whether it is done.
+/// Decides after each step of a level whether it is done, and how far the next one goes.
 #[derive(Debug, Clone, Copy)]
 pub struct Progress {
     most: usize,
-    before: usize,
+    /// Faces that are few enough for a level of its own.
+    enough: f64,
     count: usize,
+    heaviest: usize,
     stalled: u32,
+    /// Faces fall by this power of the scale.
+    power: f64,
 }
 
 impl Progress {
-    /// A level that begins with `faces` faces and may have `most` in a tile.
-    pub fn new(faces: usize, most: usize) -> Self {
-        Self { most, before: faces, count: faces, stalled: 0 }
+    /// A level that begins with `faces` faces, `heaviest` of them in the heaviest tile that needs content, which may have
+    /// `most`.
+    pub fn new(faces: usize, heaviest: usize, most: usize) -> Self {
+        let enough = faces as f64 * (1.0 - LEAST_REDUCTION);
+        Self { most, enough, count: faces, heaviest, stalled: 0, power: USUAL_POWER }
     }
 
-    /// True when the level is done: `faces` are left, of them `heaviest` in the heaviest tile that needs content.
-    pub fn is_done(&mut self, faces: usize, heaviest: usize) -> bool {
+    /// How many times too many faces there are.
+    fn excess(&self) -> f64 {
+        (self.count as f64 / self.enough).max(self.heaviest as f64 / self.most as f64)
+    }
+
+    /// Scale of the next step over that of the last, at most `most`.
+    pub fn ratio(&self, most: f64) -> f64 {
+        (self.excess() / AIM).powf(1.0 / self.power).min(most).max(LEAST_RATIO)
+    }
+
+    /// Takes down what a step of `ratio` left; true when the level is done.
+    pub fn is_done(&mut self, ratio: f64, faces: usize, heaviest: usize) -> bool {
         let lost = self.count.saturating_sub(faces) as f64;
         self.stalled = if lost <= STALLED_SHARE * self.count as f64 { self.stalled + 1 } else { 0 };
-        self.count = faces;
-        let enough = faces as f64 <= self.before as f64 * (1.0 - LEAST_REDUCTION) && heaviest <= self.most;
+        let before = self.excess();
+        (self.count, self.heaviest) = (faces, heaviest);
+        if ratio > 1.0 {
+            self.power = ((before / self.excess()).ln() / ratio.ln()).clamp(0.5 * USUAL_POWER, 2.0 * USUAL_POWER);
+        }
         let patience = if heaviest > TOO_HEAVY * self.most { MOST_STALLED_HEAVY } else { MOST_STALLED };
-        enough || self.stalled >= patience
+        self.excess() <= 1.0 || self.stalled >= patience
     }
 }
 
@@ -148,18 +163,35 @@ impl Progress {
 mod tests {
     use super::*;
 
-    /// How many steps of `lost` faces each a level of 100 000 faces goes on for, one tile having a share of them.
+    /// Steps of `lost` faces each until a level of 100 000 faces is done, one tile having a share of them.
     fn steps(lost: usize, share: usize) -> usize {
-        let mut progress = Progress::new(100_000, 30_000);
-        (1..).find(|&step| progress.is_done(100_000 - lost * step, (100_000 - lost * step) / share)).unwrap()
+        let mut progress = Progress::new(100_000, 100_000 / share, 30_000);
+        let left = |step| 100_000 - lost * step;
+        (1..).find(|&step| progress.is_done(1.6, left(step), left(step) / share)).unwrap()
+    }
+
+    /// Steps, and faces left in the only tile, which may have 30 000, where 100 000 faces fall by a power of the scale.
+    fn with_power(power: f64) -> (usize, usize) {
+        let mut progress = Progress::new(100_000, 100_000, 30_000);
+        let (mut scale, mut steps) = (1.0, 0);
+        loop {
+            let ratio = progress.ratio(2.56);
+            scale *= ratio;
+            steps += 1;
+            let left = (100_000.0 * f64::powf(scale, -power)) as usize;
+            if progress.is_done(ratio, left, left) {
+                return (steps, left);
+            }
+        }
     }
 
     #[test]
-    fn a_step_is_left_out_only_if_it_could_not_be_the_last() {
-        let levels = LevelsConfig { step_ratio: 2.0, ..LevelsConfig::default() };
-        assert!(levels.is_far(82_000, 30_000) && !levels.is_far(80_000, 30_000), "2.7 times");
-        let levels = LevelsConfig { step_ratio: 4.0, ..levels };
-        assert!(levels.is_far(220_000, 30_000) && !levels.is_far(218_000, 30_000), "2.7 times 2.7");
+    fn a_level_takes_few_steps_and_does_not_overshoot() {
+        for (power, most_steps) in [(0.6, 3), (0.9, 2), (1.15, 2), (1.5, 1), (2.0, 1)] {
+            let (steps, left) = with_power(power);
+            assert!(steps <= most_steps && left <= 30_000, "{power}: {steps} steps to {left}");
+            assert!(left >= 14_000, "{power}: {left} left");
+        }
     }
 
     #[test]

@@ -11,9 +11,9 @@ const PATIENCE: Duration = Duration::from_secs(300);
 /// Many cells and windows from a small input.
 const SETS: [&str; 8] = [
     "--set",
-    "levels.leaf_faces=2000",
+    "levels.leaf_faces=1200",
     "--set",
-    "levels.tile_faces=1500",
+    "levels.tile_faces=1200",
     "--set",
     "levels.window_faces=6000",
     "--set",

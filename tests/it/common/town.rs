@@ -14,8 +14,8 @@ use super::{Run, rooftile};
 /// Smaller tiles than by default: three or four levels from a small city. Smaller windows and references, too: what only
 /// large cities meet otherwise.
 const SETTINGS: [&str; 5] = [
-    "levels.leaf_faces=8000",
-    "levels.tile_faces=6000",
+    "levels.leaf_faces=5000",
+    "levels.tile_faces=5000",
     "levels.root_faces=3000",
     "levels.window_faces=40000",
     "levels.reference_faces=40000",

@@ -4,7 +4,7 @@
 //! 1. Leaves show the source itself.
 //! 2. For each depth, deepest first, the surface collapses in steps with the walls of that depth kept, until no tile has
 //!    more than [`LevelsConfig::tile_faces`] faces and the level has lost at least a third of the level below. The last
-//!    step tells how fast faces fall with scale, and so how far the next must go. Of a town's five levels that takes 9
+//!    step tells how fast faces fall with scale, and so how far the next must go. Of a town's five levels that takes 8
 //!    steps; steps of 1.6 each took 11, half again as much time, and overshot.
 //! 3. A root that is still heavy gets lighter roots on top of it, so that the first view loads at once.
 
@@ -140,9 +140,9 @@ impl Progress {
         (self.count as f64 / self.enough).max(self.heaviest as f64 / self.most as f64)
     }
 
-    /// Scale of the next step over that of the last, at most `most`.
-    pub fn ratio(&self, most: f64) -> f64 {
-        (self.excess() / AIM).powf(1.0 / self.power).min(most).max(LEAST_RATIO)
+    /// Scale of the next step over that of the last, at most `largest`.
+    pub fn ratio(&self, largest: f64) -> f64 {
+        (self.excess() / AIM).powf(1.0 / self.power).max(LEAST_RATIO).min(largest)
     }
 
     /// Takes down what a step of `ratio` left; true when the level is done.

@@ -69,12 +69,11 @@ pub(super) enum Grown {
 }
 
 impl Grown {
-    /// Halvings on the way to the deepest leaf.
-    pub fn depth(&self) -> u32 {
-        match self {
-            Self::Leaf => 0,
-            Self::Cut { sides, .. } => 1 + sides[0].depth().max(sides[1].depth()),
-        }
+    /// Regions halved at an even number of halvings from this one, itself among them, and at an odd number.
+    pub fn halved(&self) -> [usize; 2] {
+        let Self::Cut { sides, .. } = self else { return [0, 0] };
+        let [below, above] = [sides[0].halved(), sides[1].halved()];
+        [1 + below[1] + above[1], below[0] + above[0]]
     }
 }
 

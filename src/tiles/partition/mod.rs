@@ -5,8 +5,8 @@
 //!
 //! # Method
 //! 1. Cells are halved, by the weight of the face centres in them, until a leaf holds at most the weight allowed; walls
-//!    stand where few faces cross them, see [`Census`]. Every second halving makes a level of tiles, counted from the
-//!    deepest leaf, so that a tile has two to four children and the deepest ones are full.
+//!    stand where few faces cross them, see [`Census`]. Every second halving makes a level of tiles, the even or the
+//!    odd ones, whichever are fewer: a tile has two to four children.
 //! 2. Vertices within [`SNAP_M`] of a wall of their cell move onto it, so that no cut leaves a sliver; of several files
 //!    those within the weld tolerance, so that files that meet near a wall meet on it.
 //! 3. A face is clipped wall by wall down the tree; a cut on an edge depends on the edge and the tree alone, so both faces
@@ -89,11 +89,13 @@ impl CellTree {
         let plan = census.square;
         let root = Cell { plan, depth: 0, children: Vec::new(), parent: 0 };
         let mut tree = Self { cells: vec![root], walls: Vec::new() };
-        tree.halve(&census, &grown, plan, 0, grown.depth());
+        let [even, odd] = grown.halved();
+        tree.halve(&census, &grown, plan, 0, u32::from(odd < even));
         tree
     }
 
-    /// Halves `plan`, all of the cell `within` or a part of it, `halvings` above the deepest leaf, as it has grown.
+    /// Halves `plan`, all of the cell `within` or a part of it, as it has grown; every second halving makes cells, and so
+    /// does this one if `halvings` is odd.
     fn halve(&mut self, census: &Census, grown: &Grown, plan: Rect, within: u32, halvings: u32) -> Side {
         let Grown::Cut { axis, column, sides } = grown else { return Side::Leaf(within) };
         let (axis, at_m) = (*axis, census.line_m(*axis, *column));
@@ -103,10 +105,9 @@ impl CellTree {
         let wall = self.walls.len();
         self.walls.push(Wall { axis, at_m, sides: [Side::Leaf(within); 2] });
         for (i, (plan, grown)) in [below, above].into_iter().zip(sides.iter()).enumerate() {
-            let halvings = halvings - 1;
-            let is_cell = halvings.is_multiple_of(2) || matches!(grown, Grown::Leaf);
+            let is_cell = halvings % 2 == 1 || matches!(grown, Grown::Leaf);
             let cell = if is_cell { self.add(plan, within) } else { within };
-            self.walls[wall].sides[i] = self.halve(census, grown, plan, cell, halvings);
+            self.walls[wall].sides[i] = self.halve(census, grown, plan, cell, halvings + 1);
         }
         Side::Wall(wall as u32)
     }

@@ -6,16 +6,16 @@
 //! 1. an edge that one face only uses is border; vertices are joined where they are equal to the last bit
 //! 2. two tiles are neighbours if the boxes of their triangles touch; their seam is where these overlap
 //! 3. each border vertex in the seam (or between two that are) to the nearest border edge of the neighbour: the gap;
-//!    a vertex that meets one neighbour is not held against another that is drawn beside it, and where the neighbour's border is met by this
-//!    tile's all the same, it is the surface that is open and nothing was torn
+//!    a vertex that meets one neighbour is not held against another that is drawn beside it, and where the neighbour's
+//!    border is met by this tile's all the same, it is the surface that is open and nothing was torn
 //! 4. a vertex that only touches the seam, or stands off it, is held against the finest surface first: if that is open
 //!    there, more than twice as near as the neighbour's border, the vertex is of that rim and not of the seam; so is one
 //!    where the border turns off the seam and the finest surface's end is nearer than the neighbour
 //!
 //! # Limits
 //! A vertex further than [`SeamConfig::reach_m`] from the neighbour's border has no partner and does not count: the
-//! outer border of a dataset, and tiles that overlap. Gaps between levels that a tile's skirts hide, by the depth that its
-//! metadata state, are measured all the same but named no cracks.
+//! outer border of a dataset, and tiles that overlap. Gaps between levels are measured whether skirts hide them or not; a
+//! crack is what exceeds a tile's stated error and the depth of its skirts together.
 
 use std::collections::HashMap;
 
@@ -211,11 +211,11 @@ pub fn measure(tileset: &Tileset, borders: &[Border], config: &SeamConfig) -> Se
         .map(|[a, b]| {
             // Of the finest surface, what is torn there is its rim too.
             let rim = rim.as_ref().filter(|_| between(a, b) != Some(Between::Finest));
-            // A tile below or above one of the two is not drawn beside it, whatever it meets.
+            // What is above or below the one is not drawn beside it, whatever it meets of the other.
             let beside = |of: usize, other: usize| -> Vec<bool> {
                 let zone = seam(&borders[of].aabb, &borders[other].aabb, config.reach_m);
-                let may = |c: &&usize| !is_above(tileset, **c, other) && !is_above(tileset, other, **c);
-                let others: Vec<usize> = around[of].iter().filter(may).copied().collect();
+                let others: Vec<usize> =
+                    around[of].iter().copied().filter(|&c| !are_nested(tileset, c, other)).collect();
                 let meets = |(p, met): (&DVec3, &bool)| {
                     *met && zone.contains(*p, 0.0) && is_met(*p, borders, &trees, &others, config)
                 };
@@ -293,10 +293,9 @@ fn neighbours(
             if borders[b].aabb.min.x > borders[a].aabb.max.x + THICKER_M {
                 break;
             }
-            let [low, high] = [a.min(b), a.max(b)];
             let touch = !seam(&borders[a].aabb, &borders[b].aabb, THICKER_M).is_empty();
-            if touch && between(a, b).is_some() && !is_above(tileset, low, high) {
-                pairs.push([low, high]);
+            if touch && between(a, b).is_some() && !are_nested(tileset, a, b) {
+                pairs.push([a.min(b), a.max(b)]);
             }
         }
     }
@@ -304,8 +303,10 @@ fn neighbours(
     pairs
 }
 
-fn is_above(tileset: &Tileset, upper: usize, tile: usize) -> bool {
-    let mut at = tileset.tiles[tile].parent;
+/// Whether one of two tiles is above the other; parents come before their children.
+fn are_nested(tileset: &Tileset, a: usize, b: usize) -> bool {
+    let upper = a.min(b);
+    let mut at = tileset.tiles[a.max(b)].parent;
     while let Some(id) = at {
         if id == upper {
             return true;
@@ -395,12 +396,9 @@ fn gaps(
         let in_seam = group.iter().filter(|(_, n)| is_in[*n as usize]).count();
         let own = group[0].0 as usize;
         let p = of.points[own];
-        doubt[own] = match in_seam {
-            _ if !is_in[own] => 0.5,
-            0 => 0.5,
-            1 => 1.0,
-            _ => 0.0,
-        };
+        if is_in[own] && in_seam > 0 {
+            doubt[own] = if in_seam == 1 { 1.0 } else { 0.0 };
+        }
         counts[own] |= in_seam >= 2 && zone.contains(p, MOVED_M) && is_missed(p);
     }
     let gap_at = |v: usize| {

@@ -82,7 +82,7 @@ impl Census {
     pub fn over(bounds: Rect) -> Self {
         // Lines are multiples of a power of two: f32 holds them exactly about any whole metre near by, so that a wall is
         // the same number in all files.
-        let least = 2.0 * (bounds.size().max_element() * 0.5 + SNAP_M);
+        let least = bounds.size().max_element() + 2.0 * SNAP_M;
         let unit = (least / 8.0).log2().floor().exp2().max(COLUMNS / GRID_PER_M);
         let low = ((bounds.min - SNAP_M) / unit).floor() * unit;
         let side = ((bounds.max + SNAP_M - low).max_element() / unit).ceil() * unit;
